@@ -121,14 +121,21 @@ class LogMoments:
     def _fields(self, topic: str, t_us: int, data: bytes) -> Fields | None:
         """None for a message that does not fit its schema."""
         if topic not in self._layouts:
-            types, name = self._log.types(topic)
-            found = fixed_layout(types, name, int.from_bytes(data[12:16], "little"))
-            self._layouts[topic] = None if found is None else found.dtype
+            self._layouts[topic] = self._layout(topic, data)
         layout = self._layouts[topic]
         if layout is None or layout.itemsize != len(data):
             return None
         row = np.frombuffer(data, layout)[0]
         return Fields({name: row[name] for name in layout.names or ()}, t_us=t_us)
+
+    def _layout(self, topic: str, first: bytes) -> np.dtype[np.void] | None:
+        """None for a topic that another program has written, or of variable size."""
+        try:
+            types, name = self._log.types(topic)
+            found = fixed_layout(types, name, int.from_bytes(first[12:16], "little"))
+        except LogError:
+            return None
+        return None if found is None else found.dtype
 
     def _value(self, topic: str, t_us: int, data: bytes) -> dict[str, Any] | None:
         try:

@@ -250,8 +250,14 @@ class _Handler(BaseHTTPRequestHandler):
             except ValueError:
                 self._say(400, f"{name}={text!r} is no time; give seconds")
                 return
+        answer: msgspec.Struct | None
         try:
-            answer = {"/log": log.about, "/frames": log.frames, "/picture": log.picture}[path](**given)
+            if path == "/log":
+                answer = log.about()
+            elif path == "/frames":
+                answer = log.frames(**given)
+            else:
+                answer = log.picture(**given)
         except ViewError as error:
             self._say(400, str(error))
         except Exception as error:  # noqa: BLE001 - a damaged message: shown on the page, the rest can be played

@@ -12,6 +12,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
+from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
     AidState,
     AidStatus,
@@ -43,7 +44,16 @@ from autopilot.log.visuals import ROS_LEVEL, read_path
 from autopilot.view.controls import Steered, ViewError
 from autopilot.view.encode import frame_of, message_of, picture_view, scene_of
 from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, TickSnapshot, TruthSeen
-from autopilot.view.page_state import LogFramesView, LogView, PictureView, Point3, SceneView, Solid, Steerable, ViewFrame
+from autopilot.view.page_state import (
+    LogFramesView,
+    LogView,
+    PictureView,
+    Point3,
+    SceneView,
+    Solid,
+    Steerable,
+    ViewFrame,
+)
 
 NAV_US = 2_000_000
 """An estimate that is older has ended: the topic has one for each tick."""
@@ -282,10 +292,15 @@ class LogFrames:
         row = self._latest("/sys/loop", t_us)
         if row is None:
             return None
-        counts = {name: int(row[name]) for name in ("overruns", "dropped_log", "dropped_frames")}
-        times = {name: float(row[name]) for name in ("tick_s", "cpu_s")}
-        parts = {"part_s": tuple(row["part_s"].tolist())} if "part_s" in row else {}
-        return LoopStats(t_us=row["t_us"], **counts, **times, **parts)
+        return LoopStats(
+            t_us=row["t_us"],
+            tick_s=float(row["tick_s"]),
+            cpu_s=float(row["cpu_s"]),
+            overruns=int(row["overruns"]),
+            dropped_log=int(row["dropped_log"]),
+            dropped_frames=int(row["dropped_frames"]),
+            part_s=tuple(row["part_s"].tolist()) if "part_s" in row else (0.0,) * len(LoopPart),
+        )
 
 
 def _path(data: bytes) -> Any:

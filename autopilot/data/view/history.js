@@ -12,11 +12,12 @@ export const CHARTS = [
   { name: "Depth", unit: "m", digits: 2, lines: [["depth", "body"]], down: true, bounds: ({ parameters: p }) => [p.DEPTH_MIN, p.DEPTH_MAX].filter((v) => v > 0) },
   { name: "Heading", unit: "°", digits: 0, lines: [["heading", "body"]], turns: true, bounds: () => [] },
   { name: "Planar speed", unit: "m/s", digits: 2, lines: [["speed", "body"]], least: 0, bounds: ({ limits }) => [limits.planar_speed_m_s] },
-  { name: "Thrust, least and most", unit: "N", digits: 1, lines: [["least", "horizon"], ["most", "body"]], bounds: ({ limits }) => [-limits.thrust_n, limits.thrust_n] },
-  { name: "Position error", other: "3 sigma of position", unit: "mm", digits: 1, lines: [["sigma", "horizon"], ["error", "body"]], least: 0, bounds: () => [] },
+  { name: "Thrust", more: ", least and most", unit: "N", digits: 1, lines: [["least", "horizon"], ["most", "body"]], bounds: ({ limits }) => [-limits.thrust_n, limits.thrust_n] },
+  { name: "Position error", more: " and 3 sigma", unit: "mm", digits: 1, lines: [["error", "body"], ["sigma", "horizon"]], least: 0, bounds: () => [] },
   { name: "Solve time", unit: "ms", digits: 1, lines: [["solve", "body"]], least: 0, bounds: ({ limits }) => [limits.solve_ms] },
 ];
 
+// Of one frame, as COLUMNS.
 function values({ t_s, estimate: nav, truth, thrust_n, control }) {
   const lone = [t_s, NaN, NaN, NaN, NaN, NaN];
   const thrust = thrust_n.length ? [Math.min(...thrust_n), Math.max(...thrust_n)] : [NaN, NaN];
@@ -110,7 +111,10 @@ export const messagesUpTo = (messages, t_s) => messages.filter((message) => mess
 
 // Charts
 
-const PAD = { left: 8, right: 8, top: 18, bottom: 14 }, FONT = "11px system-ui, sans-serif";
+const MORE_PX = 200; // from that width on the name says all lines
+const PAD = { left: 34, right: 8, top: 18, bottom: 14 }, FONT = "11px system-ui, sans-serif";
+
+const number = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
 
 function layout(width, height) {
   const columns = width >= 900 ? 6 : width >= 540 ? 3 : 2, rows = CHARTS.length / columns;
@@ -146,23 +150,26 @@ function outline(times, column, first, last, from, perSecond, turns) {
   return runs;
 }
 
+// What a chart spans, and the two values that are written beside it: bounds, where there are some.
 function range({ lines, bounds, least, turns }, { columns }, first, last, scene) {
-  if (turns) return [0, 360];
+  if (turns) return { low: 0, high: 360, ends: [0, 360] };
   let [low, high] = [Infinity, -Infinity];
   for (const [name] of lines) for (let k = first; k < last; k += 1) {
     const value = columns[name][k];
     if (value < low) low = value;
     if (value > high) high = value;
   }
-  for (const bound of bounds(scene)) { low = Math.min(low, bound); high = Math.max(high, bound); }
+  const limits = bounds(scene);
+  for (const bound of limits) { low = Math.min(low, bound); high = Math.max(high, bound); }
   if (least !== undefined) low = least;
   if (!(high > low)) [low, high] = low === Infinity ? [0, 1] : [low - 0.5, low + 0.5];
   const pad = 0.06 * (high - low);
-  return [low - (least === undefined ? pad : 0), high + pad];
+  const ends = limits.length > 1 ? limits : [low, limits.length ? limits[0] : high];
+  return { low: low - (least === undefined ? pad : 0), high: high + pad, ends };
 }
 
-// `at`: the time that is shown, whose values stand beside the names; `label`: how a time is written.
-export function drawCharts(ctx, width, height, { history, scene, from, to, at, label }, colors) {
+// `frame`: what is shown at the time `at`, whose values stand beside the names; `label`: how a time is written.
+export function drawCharts(ctx, width, height, { history, scene, frame, from, to, at, label }, colors) {
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
   ctx.font = FONT;
@@ -177,9 +184,9 @@ export function drawCharts(ctx, width, height, { history, scene, from, to, at, l
     ctx.stroke();
   };
   const { t } = history.columns, first = Math.max(above(t, history.count, from) - 1, 0), last = above(t, history.count, to);
-  const here = above(t, history.count, at) - 1;
+  const here = frame ? Object.fromEntries(values(frame).map((value, place) => [COLUMNS[place], value])) : {};
   for (const { chart, x, y, w, h } of layout(width, height)) {
-    const [low, high] = range(chart, history, first, last, scene), perSecond = w / Math.max(to - from, 1e-9);
+    const { low, high, ends } = range(chart, history, first, last, scene), perSecond = w / Math.max(to - from, 1e-9);
     const level = (value) => y + h * (chart.down ? (value - low) / (high - low) : (high - value) / (high - low));
     const within = (points) => points.map(([px, value]) => [x + Math.min(Math.max(px, 0), w), level(value)]);
     line([[x, y], [x, y + h], [x + w, y + h]], colors.grid, 1);
@@ -189,13 +196,10 @@ export function drawCharts(ctx, width, height, { history, scene, from, to, at, l
     }
     const now = x + Math.min(Math.max((at - from) * perSecond, 0), w);
     line([[now, y], [now, y + h]], colors.ink, 1);
-    const shown = chart.lines.map(([name]) => (here < 0 ? NaN : history.columns[name][here])).filter((value) => !Number.isNaN(value));
-    const name = chart.other && here >= 0 && Number.isNaN(history.columns.error[here]) ? chart.other : chart.name;
-    words(name, x, y - 9, colors.weak, "left");
-    words(`${shown.length ? (chart.other ? shown.slice(-1) : shown).map((value) => value.toFixed(chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right");
-    const [top, bottom] = chart.down ? [low, high] : [high, low], digits = high - low < 10 ? Math.max(chart.digits - 1, 1) : 0;
-    words(top.toFixed(digits), x + 3, y + 6, colors.weak, "left");
-    words(bottom.toFixed(digits), x + 3, y + h - 6, colors.weak, "left");
+    const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
+    words(chart.name + (w > MORE_PX && chart.more ? chart.more : ""), x, y - 9, colors.weak, "left");
+    words(`${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right");
+    for (const value of ends) words(number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right");
     words(label(from), x, y + h + 7, colors.weak, "left");
     words(label(to), x + w, y + h + 7, colors.weak, "right");
   }

@@ -79,7 +79,7 @@ export class Timeline {
     const back = end - now, words = log ? `${now.toFixed(1)} of ${end.toFixed(1)} s` : source.live ? "" : `${back.toFixed(1)} s ago`;
     when.ariaValueText = log ? words : source.live ? "live" : words;
     set($("moment"), "textContent", words);
-    set($("past"), "textContent", log ? "log" : source.live ? "" : `the past: ${words}`);
+    set($("past"), "textContent", log ? "Log" : source.live ? "" : `Past: ${words}`);
     set($("present"), "hidden", log || source.live);
     set($("play"), "textContent", source.playing ? "Pause" : "Play");
     if (log && this.listed !== source.events.length) this.list();
@@ -94,9 +94,9 @@ export class Timeline {
     }));
   }
 
-  draw(ctx, width, height, scene, colors) {
+  draw(ctx, width, height, { scene, frame }, colors) {
     const { source } = this, [from, to] = source.window(this.span);
     const label = this.log ? (t_s) => `${t_s.toFixed(0)} s` : (t_s) => `${(t_s - source.end).toFixed(0)} s`;
-    drawCharts(ctx, width, height, { history: source.history(), scene, from, to, at: source.now, label }, colors);
+    drawCharts(ctx, width, height, { history: source.history(), scene, frame, from, to, at: source.now, label }, colors);
   }
 }

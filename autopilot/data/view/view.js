@@ -69,7 +69,7 @@ function draw() {
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
-    timeline.draw(...context($("strips")), seen.scene, palette);
+    timeline.draw(...context($("strips")), seen, palette);
   }
   if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
 }
