@@ -7,6 +7,7 @@ answer either.
 """
 
 import hashlib
+import math
 import secrets
 import socket
 import threading
@@ -248,6 +249,8 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 given[f"{name}_s"] = float(text)
             except ValueError:
+                given[f"{name}_s"] = math.nan
+            if not math.isfinite(given[f"{name}_s"]):
                 self._say(400, f"{name}={text!r} is no time; give seconds")
                 return
         answer: msgspec.Struct | None

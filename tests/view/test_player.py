@@ -97,10 +97,10 @@ def test_what_the_process_serves(flown: Path, player: Player) -> None:
     [
         ("/frames?from=1&to=x&step=1", "to='x'"),
         ("/frames?from=1&to=2", "step=''"),
-        ("/frames?from=nan&to=2&step=1", "from=nan"),
+        ("/frames?from=nan&to=2&step=1", "from='nan'"),
         ("/frames?from=3&to=2&step=1", "'to': 2.0"),
         ("/frames?from=1&to=9&step=0.0001", "200 frames"),
-        ("/picture?t=inf", "t=inf"),
+        ("/picture?t=inf", "t='inf'"),
     ],
 )
 def test_what_is_no_time_is_refused_by_name(player: Player, path: str, named: str) -> None:
@@ -157,9 +157,8 @@ def opened(tab: Any, player: Player, at: str = "#t=5.5", width: int = 1440, phon
 @pytest.mark.parametrize(("at", "t_s"), [("#t=5.5", 5.5), ("?t=7.2", 7.2), ("", 0.0), ("#t=1e9", 10.0), ("#t=x", 0.0)])
 def test_the_address_says_the_time(player: Player, at: str, t_s: float) -> None:
     with browser.page(browser.found()) as tab:
-        tab.open(f"http://127.0.0.1:{player.port}/{at}")
-        tab.wait(f"Math.abs({CLOCK} - {t_s}) < 0.11")
-        tab.wait(f"/#t={t_s:.0f}/.test(location.hash) || {json.dumps(at)}.startsWith('#t=5') || {t_s} === 7.2")
+        opened(tab, player, at)
+        tab.wait(f"Math.abs({CLOCK} - {t_s}) < 0.06")
         if at == "#t=5.5":
             tab.ask("location.hash = '#t=8'")
             tab.wait(f"{CLOCK} === 8")
@@ -212,7 +211,7 @@ def test_play_pause_speed_and_keys(player: Player) -> None:
         tab.wait(f"{CLOCK} > {stopped}")
         press(tab, SPACE)
         tab.wait("document.getElementById('play').textContent === 'Play'")  # at the end
-        assert tab.ask(CLOCK) == 10
+        tab.wait(f"{CLOCK} === 10")
         assert tab.errors == []
 
 

@@ -67,13 +67,14 @@ export class Player {
     return null;
   }
 
-  // Show the time that is wanted: from what is there, else by asking for that frame alone.
+  // Show the time that is wanted: from what is there, and by asking for that frame alone.
   present() {
     const block = [this.step(), STEP_S].map((step) => this.blocks.get(`${step} ${Math.floor((this.t - this.log.begin_s) / (BLOCK * step) + 1e-9)}`)).find((one) => one && one.frames);
     if (block) {
       const index = Math.min(Math.floor((this.t - block.from) / block.step + 1e-6), block.frames.length - 1);
       this.give(block.frames[index], [...block.trail, ...block.frames.slice(0, index + 1).flatMap(({ estimate }) => (estimate ? [estimate.pos_ned_m] : []))]);
-    } else this.single();
+    }
+    if (!this.playing) this.single(); // to the tick, where time stands still
     this.picture();
   }
 
@@ -83,7 +84,7 @@ export class Player {
     const t = this.t;
     try {
       const { frames: [frame], trail_ned_m: trail } = await asked(`/frames?from=${t}&to=${t}&step=1`);
-      this.give(frame, trail);
+      if (!this.playing) this.give(frame, trail);
     } catch (error) { this.failed(error); }
     this.asking = false;
     if (this.again) { this.again = false; this.present(); }
