@@ -608,7 +608,8 @@ function legend() {
 const recent = {
   get begin() { return history.begin; },
   get end() { return history.end; },
-  get now() { return past && seen.frame ? seen.frame.t_s : history.end; },
+  at: 0,
+  get now() { return past ? recent.at : history.end; },
   get live() { return !past; },
   playing: false,
   get events() { return history.messages; },
@@ -622,6 +623,7 @@ const recent = {
     if (!past) recent.to = history.end;
     if (t < recent.to - span_s || t > recent.to) recent.to = Math.min(t + span_s / 2, history.end);
     past = true;
+    recent.at = Math.max(t_s, history.begin);
     showMoment(moment);
   },
   toEnd() {
