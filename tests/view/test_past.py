@@ -47,11 +47,13 @@ def test_the_slider_shows_the_whole_page_of_then_and_leads_back(flight: Run) -> 
         tab.ask("document.getElementById('when').focus()")
         press(tab, "Home", 36)
         assert tab.ask(TEXT % "past").startswith("Past: ")
-        begin = tab.ask(CLOCK)
+        begin = float(tab.ask("document.getElementById('when').min"))
         for _ in range(12):
             press(tab, "ArrowRight", 39)
+        tab.wait(f"{CLOCK} > {begin} + 0.6 && {CLOCK} < {begin} + 1.3")
+        tab.ask("new Promise((done) => setTimeout(() => done(true), 200))")  # panels follow
         then = tab.ask(CLOCK)
-        assert begin + 0.9 < then < begin + 2 and tab.ask(f"window.noted[{then}] === {PLACE}")
+        assert tab.ask(f"window.noted[{then}] === {PLACE}")
         plan = tab.ask("document.getElementById('plan').toDataURL()")
         assert tab.ask("document.querySelectorAll('.stale').length") == 0, "it is as it was then"
         assert tab.ask("document.querySelectorAll('#handles button').length") == 0, "the past cannot be moved"
@@ -93,8 +95,8 @@ def test_a_reset_ends_the_past(flight: Run) -> None:
         opened(tab, flight)
         tab.ask("document.getElementById('when').focus()")
         press(tab, "Home", 36)
-        before = tab.ask(CLOCK)
+        before = float(tab.ask("document.getElementById('when').max"))
         tab.ask("document.getElementById('reset').click()")
-        tab.wait(f"{TEXT % 'past'} === '' && {CLOCK} < {before} + 3 && {CLOCK} < 8")
+        tab.wait(f"{TEXT % 'past'} === '' && {CLOCK} < {before} && {CLOCK} < 8")
         tab.wait("Number(document.getElementById('when').min) < 8")
         assert tab.errors == []

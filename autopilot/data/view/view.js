@@ -339,14 +339,24 @@ const wall = () => Date.now() / 1e3; // goes on while the machine sleeps
 // What is shown is the present, unless somebody looks at the past.
 function adopt() { if (!past) Object.assign(seen, present); }
 
-// A moment that is not the present; parts that are left out stay.
+// A moment that is not the present; parts that are left out stay. The drawings follow at once, the panels as often as
+// they can be read: to lay them out anew for each frame of a drag takes longer than a frame.
+const PANELS_S = 0.05;
+let panelled = 0, later = 0;
 function showMoment(moment) {
   const { scene } = seen;
   Object.assign(seen, moment);
   if (seen.scene !== scene) showScene(seen.scene);
-  if (moment.frame) show(seen.frame, seen.scene);
-  else showAges();
+  if (moment.frame && !later) later = setTimeout(showPanels, Math.max(0, 1e3 * (PANELS_S - seconds() + panelled)));
+  timeline.show();
+  showAges();
   soon();
+}
+
+function showPanels() {
+  later = 0;
+  panelled = seconds();
+  show(seen.frame, seen.scene);
 }
 
 // Of another run: nothing of the one before is shown beside it.
