@@ -61,6 +61,8 @@ SEVERITY = {level: severity for severity, level in reversed(list(enumerate(ROS_L
 """Of a rcl_interfaces/Log level: the most severe."""
 MAX_FRAMES = 200
 """Frames in one answer."""
+MAX_REPEATS = 200
+"""Equal readings that are looked at: two seconds of an AHRS, which is long silent then."""
 MAX_TRACKS = 200
 """Reports of obstacles that are looked at for one frame."""
 _status, _plan, _progress, _mode, _health, _power, _track = (
@@ -92,9 +94,7 @@ class LogFrames:
         self._fence = _fence_of(self._run)
         topics = self._moments.topics
         self._aids = [topic for topic in topics if topic.startswith(AID_PREFIX)]
-        self._devices = {
-            row.topic: DEVICES[row.of].device for row in SAMPLE_ROWS if row.of in DEVICES and row.topic in topics
-        }
+        self._devices = {row.topic: DEVICES[row.of] for row in SAMPLE_ROWS if row.of in DEVICES and row.topic in topics}
 
     def about(self) -> LogView:
         """The log as a whole."""
@@ -266,12 +266,25 @@ class LogFrames:
 
     def _received_us(self, t_us: int) -> Mapping[str, int]:
         found: dict[str, int] = {}
-        for topic, device in self._devices.items():
-            row = self._moments.latest_raw(topic, t_us)
-            if row is not None:
-                found[device] = max(row[0], found.get(device, row[0]))
+        for topic, row in self._devices.items():
+            received_us = self._news_us(topic, row.reading, t_us)
+            if received_us is not None:
+                found[row.device] = max(received_us, found.get(row.device, received_us))
         picture = self._moments.latest_raw("/in/markers", t_us) or self._moments.latest_raw("/in/camera", t_us)
         return found if picture is None else {**found, CAMERA: picture[0]}
+
+    def _news_us(self, topic: str, reading: str, t_us: int) -> int | None:
+        """When a device last said something new: of one whose ``reading`` repeats itself, the first of the same."""
+        newest = self._latest(topic, t_us)
+        if newest is None:
+            return None
+        at_us: int = newest["t_us"]
+        for _ in range(MAX_REPEATS if reading else 0):
+            before = self._latest(topic, at_us - 1)
+            if before is None or not np.array_equal(before[reading], newest[reading]):
+                break
+            at_us = before["t_us"]
+        return at_us
 
     def _tracks(self, t_us: int) -> Mapping[int, ObstacleTrack]:
         """The last report of each obstacle, the reports of some seconds looked at backwards."""

@@ -84,7 +84,7 @@ export class Player {
     const t = this.t;
     try {
       const { frames: [frame], trail_ned_m: trail } = await asked(`/frames?from=${t}&to=${t}&step=1`);
-      if (!this.playing) this.give(frame, trail);
+      if (!this.playing) this.give(frame, frame.estimate ? [...trail, frame.estimate.pos_ned_m] : trail);
     } catch (error) { this.failed(error); }
     this.asking = false;
     if (this.again) { this.again = false; this.present(); }
