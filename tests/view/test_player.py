@@ -20,6 +20,7 @@ from autopilot.cli.log import log as log_command
 from autopilot.log.reader import open_log
 from autopilot.run.children import autopilot_command, free_port
 from autopilot.view.page_state import LogFramesView, LogView, PictureView
+from tests.log.log_synthetic import Run, write_run
 
 needs_browser = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 ARROW, SPACE, HOME, END = ("ArrowRight", 39), (" ", 32), ("Home", 36), ("End", 35)
@@ -137,7 +138,7 @@ def test_a_log_that_was_cut_off_is_played_as_far_as_it_goes(flown: Path, tmp_pat
 
 # In a browser
 
-CLOCK = "parseFloat(document.getElementById('clock').textContent)"
+CLOCK = "parseFloat(document.getElementById('clock')?.textContent)"
 
 
 def press(tab: Any, key: tuple[str, int], shift: bool = False) -> None:
@@ -198,8 +199,6 @@ def test_play_pause_speed_and_keys(player: Player) -> None:
         press(tab, END)
         tab.wait(f"{CLOCK} === 10")
         press(tab, HOME)
-        tab.ask("document.getElementById('rate').value = '4'")
-        tab.ask("document.getElementById('rate').dispatchEvent(new Event('change'))")
         press(tab, SPACE)
         assert tab.ask("document.getElementById('play').textContent") == "Pause"
         tab.wait(f"{CLOCK} > 2")
@@ -209,6 +208,8 @@ def test_play_pause_speed_and_keys(player: Player) -> None:
         assert tab.wait("location.hash !== '#t=5.5' && location.hash") is not None
         press(tab, ARROW)
         tab.wait(f"{CLOCK} > {stopped}")
+        tab.ask("document.getElementById('rate').value = '4'")
+        tab.ask("document.getElementById('rate').dispatchEvent(new Event('change'))")
         press(tab, SPACE)
         tab.wait("document.getElementById('play').textContent === 'Play'")  # at the end
         tab.wait(f"{CLOCK} === 10")
@@ -261,6 +262,27 @@ def test_nothing_sticks_out_and_everything_has_a_name(player: Player, width: int
         assert tab.ask(f"{unnamed}.length") == 0
         assert tab.ask("document.getElementById('when').ariaValueText") == "5.5 of 10.0 s"
         assert tab.errors == []
+
+
+@needs_browser
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_log_without_truth_and_pictures(tmp_path: Path, dark: bool) -> None:
+    """As of a vehicle: no position error, no camera; and charts that are asked for round the time shown."""
+    log = write_run(tmp_path / "tank.mcap", Run(laps=3, step_us=500_000, with_truth=False))
+    made = Player(log, tmp_path)
+    with browser.page(browser.found()) as tab:
+        tab.size(1440, 900, dark=dark)
+        tab.open(f"http://127.0.0.1:{made.port}/#t=20")
+        tab.wait(f"{CLOCK} === 20")
+        assert "Position error" not in tab.ask("document.getElementById('state').textContent")
+        tab.ask("document.getElementById('span').value = '60'")
+        tab.ask("document.getElementById('span').dispatchEvent(new Event('change'))")
+        press(tab, ARROW, shift=True)
+        tab.wait(f"{CLOCK} === 21")
+        tab.ask("location.hash = '#t=100'")
+        tab.wait(f"{CLOCK} === 100")
+        assert tab.errors == []
+    assert made.end() == 0
 
 
 # In node

@@ -13,7 +13,7 @@ export const CHARTS = [
   { name: "Heading", unit: "°", digits: 0, lines: [["heading", "body"]], turns: true, bounds: () => [] },
   { name: "Planar speed", unit: "m/s", digits: 2, lines: [["speed", "body"]], least: 0, bounds: ({ limits }) => [limits.planar_speed_m_s] },
   { name: "Thrust", more: ", least and most", unit: "N", digits: 1, lines: [["least", "horizon"], ["most", "body"]], bounds: ({ limits }) => [-limits.thrust_n, limits.thrust_n] },
-  { name: "Position error", more: " and 3 sigma", unit: "mm", digits: 1, lines: [["error", "body"], ["sigma", "horizon"]], least: 0, bounds: () => [] },
+  { name: "Position error", more: " and 3 sigma", other: "Position, 3 sigma", unit: "mm", digits: 1, lines: [["error", "body"], ["sigma", "horizon"]], least: 0, bounds: () => [] },
   { name: "Solve time", unit: "ms", digits: 1, lines: [["solve", "body"]], least: 0, bounds: ({ limits }) => [limits.solve_ms] },
 ];
 
@@ -197,7 +197,8 @@ export function drawCharts(ctx, width, height, { history, scene, frame, from, to
     const now = x + Math.min(Math.max((at - from) * perSecond, 0), w);
     line([[now, y], [now, y + h]], colors.ink, 1);
     const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
-    words(chart.name + (w > MORE_PX && chart.more ? chart.more : ""), x, y - 9, colors.weak, "left");
+    const name = chart.other && !Number.isFinite(here.error) ? chart.other : chart.name + ((w > MORE_PX && chart.more) || ""); // no truth, no error
+    words(name, x, y - 9, colors.weak, "left");
     words(`${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right");
     for (const value of ends) words(number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right");
     words(label(from), x, y + h + 7, colors.weak, "left");

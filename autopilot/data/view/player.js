@@ -28,6 +28,7 @@ export class Player {
   seek(t_s) {
     this.t = Math.min(Math.max(t_s, this.log.begin_s), this.log.end_s);
     this.present();
+    this.follow();
   }
 
   play(on) {
@@ -44,7 +45,11 @@ export class Player {
     this.t = next;
     if (next >= this.log.end_s) this.playing = false;
     this.present();
+    this.follow();
   }
+
+  // Charts of the time that is shown.
+  follow() { if (this.t < this.window[0] || this.t > this.window[1]) this.chart(this.span_s); }
 
   step() { return this.rate > FAST ? 4 * STEP_S : STEP_S; }
 
@@ -91,6 +96,7 @@ export class Player {
   }
 
   give(frame, trail) {
+    this.say("");
     this.show({ frame: { ...frame, messages: messagesUpTo(this.log.events, frame.t_s) }, trail, scene: this.log.scene });
   }
 
@@ -116,6 +122,7 @@ export class Player {
 
   // Charts of so many seconds round the time that is shown; 0 = of the whole log.
   async chart(span_s) {
+    this.span_s = span_s;
     const { begin_s, end_s } = this.log, whole = !span_s || span_s >= end_s - begin_s;
     const from = whole ? begin_s : Math.min(Math.max(this.t - span_s / 2, begin_s), end_s - span_s), to = whole ? end_s : from + span_s;
     const step = Math.max(STEP_S, (to - from) / CHART_FRAMES), turn = (this.turn += 1);

@@ -689,8 +689,6 @@ async function playLog() {
     const now = seconds();
     if (player.playing) {
       player.tick(Math.min(now - before, 0.25));
-      const [from, to] = player.window;
-      if (player.t > to || player.t < from) player.chart(timeline.span);
       timeline.show();
       soon();
       address();
