@@ -11,6 +11,7 @@ from autopilot.cli.log_compare import compare
 from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
+from autopilot.cli.log_view import view
 from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER
 
 if TYPE_CHECKING:
@@ -24,10 +25,11 @@ NOTES_BESIDE = 110
 
 @click.group()
 def log() -> None:
-    """Look into logs: info, check, compare, report, plot, export, diff, find, recover, replay, programs, tlog."""
+    """Look into logs: info, check, compare, report, plot, export, diff, find, recover, replay, programs, tlog,
+    view."""
 
 
-for _command in (tlog, compare, export, diff, recover, find, replay):
+for _command in (tlog, compare, export, diff, recover, find, replay, view):
     log.add_command(_command)
 
 

@@ -115,6 +115,11 @@ class Log:
         self._clock_checked = False
 
     @property
+    def contents(self) -> Contents:
+        """Where things are in the file."""
+        return self._contents
+
+    @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name; ``run`` is ours."""
         return self._contents.metadata
@@ -271,7 +276,7 @@ class Log:
         LogError
             The topic is missing, its schema is not ros2msg, or a message is damaged.
         """
-        types, name = self._types(topic)
+        types, name = self.types(topic)
         self.load([topic])
         raw = self._raw[topic]
         rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
@@ -414,7 +419,8 @@ class Log:
                 pairs = zip(starts.tolist(), lengths.tolist(), strict=True)
                 raw.singles += [data[start : start + length] for start, length in pairs]
 
-    def _types(self, topic: str) -> tuple[Types, str]:
+    def types(self, topic: str) -> tuple[Types, str]:
+        """Message type of a topic with all that it uses. LogError if there is no such topic, or no such schema."""
         channel = next((c for c in self._contents.channels.values() if c.topic == topic), None)
         if channel is None:
             meant = did_you_mean(topic, self.topics)
@@ -425,7 +431,7 @@ class Log:
         return _parsed(schema.name, schema.text), schema.name
 
     def _table(self, topic: str) -> MessageTable:
-        types, name = self._types(topic)
+        types, name = self.types(topic)
         self.load([topic])
         raw = self._raw[topic]
         if not raw.blocks and not raw.singles:

@@ -8,7 +8,8 @@ import numpy as np
 from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Failsafe, NavState, Outputs, Severity
+from autopilot.core.messages import Event, Failsafe, NavState, Outputs, Severity
+from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
@@ -123,15 +124,16 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
         ),
         battery=_battery(snapshot),
         loop=_loop(snapshot),
-        messages=tuple(
-            MessageView(
-                number=number,
-                t_s=_number(1e-6 * event.t_us),
-                severity=Severity(min(max(event.severity, 0), 7)).name,
-                text=event.text,
-            )
-            for number, event in snapshot.messages
-        ),
+        messages=tuple(message_of(number, event) for number, event in snapshot.messages),
+    )
+
+
+def message_of(number: int, event: Event) -> MessageView:
+    return MessageView(
+        number=number,
+        t_s=_number(1e-6 * event.t_us),
+        severity=Severity(min(max(event.severity, 0), 7)).name,
+        text=event.text,
     )
 
 
@@ -150,18 +152,29 @@ def picture_of(taken: TakenPicture) -> PictureView:
     done, jpeg = cv2.imencode(".jpg", taken.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise AutopilotError("a camera picture cannot be compressed as JPEG")
-    seen = taken.sighting
-    laser = None if seen is None else seen.laser_px
-    return PictureView(
-        t_s=1e-6 * taken.t_us,
+    return picture_view(
+        t_us=taken.t_us,
         width_px=taken.width_px,
         height_px=taken.height_px,
         jpeg=base64.b64encode(jpeg.tobytes()).decode(),
+        sighting=taken.sighting,
+    )
+
+
+def picture_view(
+    *, t_us: int, width_px: int, height_px: int, jpeg: str, sighting: MarkerSighting | None
+) -> PictureView:
+    laser = None if sighting is None else sighting.laser_px
+    return PictureView(
+        t_s=1e-6 * t_us,
+        width_px=width_px,
+        height_px=height_px,
+        jpeg=jpeg,
         markers=()
-        if seen is None
+        if sighting is None
         else tuple(
             (number, tuple(_point2(corner, 1) for corner in corners))
-            for number, corners in zip(seen.ids, seen.corners_px, strict=True)
+            for number, corners in zip(sighting.ids, sighting.corners_px, strict=True)
         ),
         laser_px=None if laser is None else _point2(laser, 1),
     )

@@ -1,4 +1,4 @@
-"""HTTP server of the page on loopback: its files, a stream of server-sent events, and requests.
+"""HTTP server of the page on loopback: its files, a stream of server-sent events, and requests; or a log to play.
 
 Local access only. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, which
 rejects DNS rebinding; cross-site requests are rejected by Origin or Sec-Fetch-Site; and requests that change
@@ -8,6 +8,7 @@ answer either.
 
 import hashlib
 import importlib.util
+import math
 import secrets
 import socket
 import threading
@@ -20,8 +21,9 @@ from urllib.parse import parse_qs, urlsplit
 import msgspec
 
 from autopilot.core.errors import AutopilotError, ConfigError
-from autopilot.view.controls import ControlRequest
+from autopilot.view.controls import ControlRequest, ViewError
 from autopilot.view.hub import MAX_VIEWERS, Hub
+from autopilot.view.log_frames import LogFrames
 
 DEFAULT_PORT = 8760
 PORTS = 20
@@ -51,11 +53,17 @@ PAGES = {
     "/plan.js": ("plan.js", "text/javascript; charset=utf-8"),
     "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
     "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
+    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
+    "/timeline.js": ("timeline.js", "text/javascript; charset=utf-8"),
+    "/player.js": ("player.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 """Path -> file of the package, type."""
 THREE_PATH = "/three.js"
 NO_THREE = "3-D needs three.js, which comes with the package pythreejs: pip install 'underwater-autopilot[view3d]'"
+
+LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",)}
+"""Of a log that is played: path -> times that it needs."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
@@ -78,8 +86,8 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = True
     request_queue_size = 32
 
-    def __init__(self, port: int, hub: Hub) -> None:
-        self.hub = hub
+    def __init__(self, port: int, hub: Hub, log: LogFrames | None) -> None:
+        self.hub, self.log = hub, log
         self.token = secrets.token_urlsafe(24)
         self.version = _version()
         self._connection_slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
@@ -120,9 +128,10 @@ def _version() -> str:
 
 
 class ViewServer:
-    def __init__(self, port: int | None) -> None:
-        """ConfigError if the port is taken; without one the first free port from the default on is used."""
-        self.hub = Hub()
+    def __init__(self, port: int | None, log: LogFrames | None = None, option: str = "--view") -> None:
+        """ConfigError naming the ``option`` if the port is taken; without one the first free port from the default on
+        is used. ``log``: played instead of a run."""
+        self.hub, self._log, self._option = Hub(), log, option
         try:
             self._server = self._bound(port)
         except BaseException:
@@ -134,12 +143,12 @@ class ViewServer:
     def _bound(self, port: int | None) -> _Server:
         for number in range(DEFAULT_PORT, DEFAULT_PORT + PORTS) if port is None else (port,):
             try:
-                return _Server(number, self.hub)
+                return _Server(number, self.hub, self._log)
             except OSError as error:
                 reason = error.strerror or str(error)
         tried_ports = f"ports {DEFAULT_PORT} to {number}" if port is None else f"port {port}"
         raise ConfigError(
-            f"--view: {tried_ports} of 127.0.0.1 cannot be had ({reason}); give another one, or 0 for any"
+            f"{self._option}: {tried_ports} of 127.0.0.1 cannot be had ({reason}); give another one, or 0 for any"
         )
 
     @property
@@ -165,12 +174,19 @@ class _Handler(BaseHTTPRequestHandler):
         url = urlsplit(self.path)
         if not self._from_here():
             return
-        if url.path == "/events":
+        if self.server.log is not None and url.path in LOG_PATHS:
+            self._play(self.server.log, url.path, parse_qs(url.query))
+        elif self.server.log is None and url.path == "/events":
             self._stream(pictures=parse_qs(url.query).get("pictures") == ["1"])
         elif url.path in PAGES:
             name, kind = PAGES[url.path]
             missing = "" if _three_js() else escape(NO_THREE)
-            marked = {b"@TOKEN@": self.server.token, b"@VERSION@": self.server.version, b"@NOTHREE@": missing}
+            marked = {
+                b"@TOKEN@": self.server.token,
+                b"@VERSION@": self.server.version,
+                b"@NOTHREE@": missing,
+                b"@SOURCE@": "live" if self.server.log is None else "log",
+            }
             data = _file(name)
             for mark, text in marked.items() if name == "index.html" else ():
                 data = data.replace(mark, text.encode())
@@ -252,6 +268,33 @@ class _Handler(BaseHTTPRequestHandler):
             pass  # disconnected, or not receiving
         finally:
             self.server.hub.leave(viewer)
+
+    def _play(self, log: LogFrames, path: str, query: dict[str, list[str]]) -> None:
+        """A part of the log: what it is, frames, or a picture."""
+        given: dict[str, float] = {}
+        for name in LOG_PATHS[path]:
+            text = query.get(name, [""])[-1]
+            try:
+                given[f"{name}_s"] = float(text)
+            except ValueError:
+                given[f"{name}_s"] = math.nan
+            if not math.isfinite(given[f"{name}_s"]):
+                self._say(400, f"{name}={text!r} is no time; give seconds")
+                return
+        answer: msgspec.Struct | None
+        try:
+            if path == "/log":
+                answer = log.about()
+            elif path == "/frames":
+                answer = log.frames(**given)
+            else:
+                answer = log.picture(**given)
+        except ViewError as error:
+            self._say(400, str(error))
+        except Exception as error:  # noqa: BLE001 - a damaged message: shown on the page, the rest can be played
+            self._say(500, f"the log cannot be shown there ({type(error).__name__}: {error})")
+        else:
+            self._answer(200, msgspec.json.encode(answer), "application/json")
 
     def _say(self, code: int, text: str) -> None:
         self._answer(code, msgspec.json.encode({"error": text}), "application/json")

@@ -298,3 +298,22 @@ class FlowView(msgspec.Struct, frozen=True, kw_only=True):
     """Over all that the plan shows."""
     near: tuple[Arrow, ...] = ()
     """A finer grid round the vehicle, in open water."""
+
+
+class LogView(msgspec.Struct, frozen=True, kw_only=True):
+    """A log that the page plays."""
+
+    name: str
+    begin_s: float
+    end_s: float
+    scene: SceneView
+    events: tuple[MessageView, ...]
+    """All messages of the run."""
+
+
+class LogFramesView(msgspec.Struct, frozen=True, kw_only=True):
+    """Frames at regular times, without messages."""
+
+    frames: tuple[ViewFrame, ...]
+    trail_ned_m: tuple[Point3, ...]
+    """Where the vehicle had been at the time of the first one, oldest first."""

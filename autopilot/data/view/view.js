@@ -2,15 +2,23 @@
 import { ASLEEP_S, Link, Pace, REOPEN_S, ageText, pictureAge } from "./ages.js";
 import { attitudeOf, attitudeWords, drawCompass, drawHorizon } from "./attitude.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
-import { SpaceView } from "./space.js";
+import { History } from "./history.js";
 import { ZOOM_STEP, extent, followed, following, gridStep, panned, planView, zoomed } from "./plan.js";
+import { Player, timeOfAddress } from "./player.js";
+import { SpaceView } from "./space.js";
+import { Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 const meta = (name) => document.querySelector(`meta[name=view-${name}]`).content;
 const version = meta("version");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+// `seen` is what is shown: the present, or a moment of the past or of a log.
 const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0, margins: true };
+const present = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [] };
 const TRAIL = 1500;
+const log = meta("source") === "log", history = new History();
+let past = log; // whether what is shown is not the present
+const PAST_PICTURE_S = 1; // between two pictures that are kept
 const link = new Link();
 let pace = new Pace();
 let token = meta("token"), source = null, opened = 0, heard = 0, trouble = "", asked = false, messages = 0, drag = null;
@@ -50,7 +58,7 @@ function draw() {
   if (seen.scene) {
     const { frame, flow } = seen, now = seconds();
     const shown = { ...seen, frame: frame && { ...frame, control: current(frame) }, lost: frame && lost(frame) };
-    const water = flow && frame && pictureAge(flow, frame, now);
+    const water = !past && flow && frame && pictureAge(flow, frame, now);
     shown.flowOld = water && water.old(ages().flow_s) ? ageText(water.age) : "";
     const [ctx, width, height] = context($("plan"));
     const view = () => planView(width, height, extent(seen.scene, frame), seen.camera);
@@ -65,6 +73,7 @@ function draw() {
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
+    timeline.draw(...context($("strips")), seen, palette);
   }
   if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
 }
@@ -84,7 +93,9 @@ function showAttitude(frame, palette) {
 // How old the picture is that is shown, in words; "" while it is of now.
 function pictureOld(now) {
   const { picture, frame } = seen;
-  if (!picture || !frame || link.age(now) === null) return "";
+  if (!picture || !frame) return "";
+  if (past) return frame.t_s - picture.t_s > ages().picture_s + PAST_PICTURE_S ? ageText(frame.t_s - picture.t_s) : "";
+  if (link.age(now) === null) return "";
   const { age, old } = pictureAge(picture, frame, now), behind = link.age(now);
   return seen.other || behind > ages().link_s || old(ages().picture_s) ? ageText(age + behind) : "";
 }
@@ -98,10 +109,10 @@ function mark(id, words, old, ...parts) {
 
 // Everything that is shown, as old as it is now.
 function showAges() {
-  const { scene, frame, picture } = seen, now = seconds(), behind = link.age(now);
+  const { scene, frame, picture } = seen, now = seconds(), late = link.age(now), behind = past ? 0 : late;
   if (!scene || !frame || behind === null) return;
-  const limits = scene.ages, dead = seen.other || behind > limits.link_s, nav = frame.estimate;
-  const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
+  const limits = scene.ages, cut = !log && (seen.other || late > limits.link_s), dead = cut && !past, nav = frame.estimate;
+  const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = past ? "" : told(behind, dead);
   const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
   const noPlace = dead || lost(frame), old = pictureOld(now);
   mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "space", "pwm", "pace");
@@ -111,11 +122,11 @@ function showAges() {
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
   mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
   const silence = link.since(now);
-  put("link", !dead ? trouble
-    : source && source.readyState !== 1 ? `no connection to the vehicle's process; all this is ${ageText(behind)} old`
+  put("link", !cut ? trouble
+    : source && source.readyState !== 1 ? `no connection to the vehicle's process; all this is ${ageText(late)} old`
     : silence > limits.link_s ? `no news from the vehicle's process for ${ageText(silence)}`
     : link.loop > limits.link_s ? `the loop has been silent for ${ageText(link.loop)}`
-    : `the connection is slow: all this is ${ageText(behind)} old`);
+    : `the connection is slow: all this is ${ageText(late)} old`);
   if (old || seen.pictureOld) soon();
   seen.pictureOld = Boolean(old);
 }
@@ -222,6 +233,8 @@ function showSensors(frame) {
 
 function showMessages(frame) {
   const list = $("messages");
+  const newest = Math.max(0, ...frame.messages.map((one) => one.number));
+  if (newest < messages) { list.replaceChildren(); messages = 0; } // back in time
   for (const message of frame.messages.filter((one) => one.number > messages && one.severity !== "DEBUG")) {
     const kind = ["EMERGENCY", "ALERT", "CRITICAL", "ERROR"].includes(message.severity) ? "bad" : message.severity === "WARNING" ? "warn" : "";
     const row = element("li", undefined, kind);
@@ -229,11 +242,11 @@ function showMessages(frame) {
     list.prepend(row);
   }
   while (list.children.length > 60) list.lastChild.remove();
-  messages = Math.max(messages, ...frame.messages.map((one) => one.number));
+  messages = newest;
 }
 
-function showFrame(frame) {
-  const { scene } = seen;
+// Every panel, for each frame that is shown: of the present, the past or a log.
+function show(frame, scene) {
   $("mode").textContent = frame.mode;
   $("armed").textContent = frame.armed ? "armed" : "disarmed";
   $("armed").className = frame.armed ? "badge on" : "badge";
@@ -245,7 +258,7 @@ function showFrame(frame) {
   $("control").className = "badge warn";
   $("clock").textContent = `${frame.t_s.toFixed(1)} s${frame.paused ? ", paused" : ""}`;
   const reached = pace.reached();
-  $("pace").textContent = reached === null ? "" : `${fixed(reached, 1)} × reached`;
+  $("pace").textContent = past || reached === null ? "" : `${fixed(reached, 1)} × reached`;
   put("alarms", frame.failsafes.length ? `Failsafe: ${frame.failsafes.map(plain).join(", ")}` : "");
   showState(frame);
   showBars(scene, frame);
@@ -257,10 +270,11 @@ function showFrame(frame) {
   const flow = frame.extra_current_ned_m_s;
   showAges();
   $("flowtext").textContent = flow ? `added flow: ${fixed(flow[0])} m/s north, ${fixed(flow[1])} m/s east` : "";
+  timeline.show();
 }
 
 function showScene(scene) {
-  document.title = `${scene.title || scene.vehicle}: live view`;
+  document.title = `${scene.title || scene.vehicle}: ${log ? "log" : "live view"}`;
   $("title").textContent = `${scene.title} · ${scene.vehicle}${scene.simulated ? " · simulated" : ""}`;
   const can = scene.steerable;
   $("steer").hidden = !can.pause;
@@ -297,29 +311,41 @@ function listen(anew = false) {
   stream.addEventListener("open", () => { if (stream === source) link.opened(); });
   on("hello", hello);
   on("scene", (scene) => {
-    if (seen.other) { forget(); seen.frame = null; look(null); }
-    seen.scene = scene; seen.trail = scene.trail_ned_m; messages = 0; $("messages").replaceChildren();
+    if (seen.other) { forget(); present.frame = null; look(null); }
+    present.scene = scene; present.trail = scene.trail_ned_m;
+    if (past) return;
+    messages = 0; $("messages").replaceChildren();
+    adopt();
     showScene(scene);
   });
   on("frame", (frame) => {
-    if (!seen.scene) return;
-    if (seen.frame && frame.t_s < seen.frame.t_s) forget();
-    seen.frame = frame;
+    if (!present.scene) return;
+    if (present.frame && frame.t_s < present.frame.t_s) forget();
+    present.frame = frame;
     trouble = "";
     seen.other = false;
     link.take(frame, seconds());
     pace.take(frame);
-    const nav = frame.estimate, last = seen.trail[seen.trail.length - 1];
+    history.add(frame, present.scene, present.trail);
+    const nav = frame.estimate, last = present.trail[present.trail.length - 1];
     if (nav && (!last || Math.hypot(last[0] - nav.pos_ned_m[0], last[1] - nav.pos_ned_m[1], last[2] - nav.pos_ned_m[2]) > 0.01)) {
-      seen.trail = [...seen.trail.slice(1 - TRAIL), nav.pos_ned_m];
+      present.trail = [...present.trail.slice(1 - TRAIL), nav.pos_ned_m];
     }
-    showFrame(frame);
+    if (past) { showAges(); timeline.show(); return; }
+    adopt();
+    show(frame, seen.scene);
   });
-  on("flow", (flow) => { seen.flow = { ...flow, arrived: seconds() }; });
+  on("flow", (flow) => { present.flow = { ...flow, arrived: seconds() }; history.addSlow(history.flows, flow); adopt(); });
   on("trouble", (told) => { trouble = told.text; $("link").textContent = trouble; });
   on("picture", (picture) => {
     const image = new Image(), arrived = seconds();
-    image.onload = () => { if (stream === source) { seen.picture = { ...picture, arrived }; seen.image = image; soon(); } };
+    image.onload = () => {
+      if (stream !== source) return;
+      Object.assign(present, { picture: { ...picture, arrived }, image });
+      history.addSlow(history.pictures, { ...picture, image, arrived, jpeg: "" });
+      adopt();
+      soon();
+    };
     image.src = `data:image/jpeg;base64,${picture.jpeg}`;
   });
   stream.onerror = showAges;
@@ -327,9 +353,35 @@ function listen(anew = false) {
 
 const wall = () => Date.now() / 1e3; // goes on while the machine sleeps
 
+// What is shown is the present, unless somebody looks at the past.
+function adopt() { if (!past) Object.assign(seen, present); }
+
+// A moment that is not the present; parts that are left out stay. The drawings follow at once, the panels as often as
+// they can be read: to lay them out anew for each frame of a drag takes longer than a frame.
+const PANELS_S = 0.05;
+let panelled = 0, later = 0;
+function showMoment(moment) {
+  const { scene } = seen;
+  Object.assign(seen, moment);
+  if (seen.scene !== scene) showScene(seen.scene);
+  if (moment.frame && !later) later = setTimeout(showPanels, Math.max(0, 1e3 * (PANELS_S - seconds() + panelled)));
+  timeline.show();
+  showAges();
+  soon();
+}
+
+function showPanels() {
+  later = 0;
+  panelled = seconds();
+  show(seen.frame, seen.scene);
+}
+
 // Of another run: nothing of the one before is shown beside it.
 function forget() {
-  Object.assign(seen, { trail: [], picture: null, image: null, flow: null, moving: null });
+  Object.assign(present, { trail: [], picture: null, image: null, flow: null });
+  seen.moving = null;
+  history.clear();
+  if (past) { past = false; adopt(); showScene(seen.scene); }
   pace = new Pace();
   drag = null;
 }
@@ -346,6 +398,7 @@ function hello({ token: now, version: theirs }) {
 
 // A stream that has ended, or says nothing any more, is asked for anew. Ages go on by themselves.
 function tick() {
+  if (log) return;
   const now = seconds(), gone = source.readyState === 2;
   if (now - Math.max(heard, opened) > (gone ? 1 : REOPEN_S)) listen(true);
   showAges();
@@ -369,12 +422,15 @@ async function ask(table) {
 
 // What the person does
 
-$("pause").addEventListener("click", () => ask({ do: seen.frame && seen.frame.paused ? "go" : "pause" }));
+$("pause").addEventListener("click", () => ask({ do: present.frame && present.frame.paused ? "go" : "pause" }));
 $("speed").addEventListener("change", (event) => { ask({ do: "speed", value: Number(event.target.value) }); event.target.blur(); });
 $("reset").addEventListener("click", () => ask({ do: "reset" }));
 $("call").addEventListener("click", () => seen.scene && ask({ do: "fault", fault: seen.scene.steerable.faults[Number($("fault").value)].fault }));
 $("still").addEventListener("click", () => ask({ do: "current", north_m_s: 0, east_m_s: 0 }));
-$("camerabox").addEventListener("toggle", listen);
+$("camerabox").addEventListener("toggle", () => {
+  if (!log) listen();
+  else { player.pictures = $("camerabox").open; if (player.log) player.picture(); }
+});
 
 function spot(event) {
   const box = event.target.getBoundingClientRect();
@@ -384,7 +440,7 @@ function spot(event) {
 // The obstacle under a pointer or a finger.
 function grasped(event) {
   const [x, y] = spot(event);
-  if (!seen.view || !seen.frame || !seen.scene.steerable.obstacles) return undefined;
+  if (past || !seen.view || !seen.frame || !seen.scene.steerable.obstacles) return undefined;
   const [north, east] = seen.view.back(x, y);
   return seen.frame.solids.find((solid) => Math.hypot(solid.center_m[0] - north, solid.center_m[1] - east) <= solid.radius_m + 8 / seen.view.scale);
 }
@@ -432,7 +488,7 @@ $("plan").addEventListener("keydown", onPlanKey);
 
 // A handle for each obstacle that can be moved, for the keyboard; the pointer drags on the plan itself.
 function showHandles(width, height) {
-  const solids = seen.frame && seen.scene.steerable.obstacles ? seen.frame.solids : [], box = $("handles");
+  const solids = !past && seen.frame && seen.scene.steerable.obstacles ? seen.frame.solids : [], box = $("handles");
   if (box.children.length !== solids.length) box.replaceChildren(...solids.map((_, index) => handle(index)));
   solids.forEach((solid, index) => {
     const one = box.children[index], held = seen.moving && seen.moving.number === solid.number;
@@ -595,8 +651,97 @@ $("distances").addEventListener("click", () => {
   soon();
 });
 
+// The past of the live view
+
+const recent = {
+  get begin() { return history.begin; },
+  get end() { return history.end; },
+  at: 0,
+  get now() { return past ? recent.at : history.end; },
+  get live() { return !past; },
+  playing: false,
+  get events() { return history.messages; },
+  history: () => history,
+  to: 0,
+  window: (span_s) => (past ? [recent.to - span_s, recent.to] : [history.end - span_s, history.end]), // stands still in the past
+  spanned: () => { if (past) recent.seek(recent.now); soon(); },
+  seek(t_s) {
+    const moment = history.moment(t_s), span_s = timeline.span, { t_s: t } = moment ? moment.frame : {};
+    if (!moment) return;
+    if (!past) recent.to = history.end;
+    if (t < recent.to - span_s || t > recent.to) recent.to = Math.min(t + span_s / 2, history.end);
+    past = true;
+    recent.at = Math.max(t_s, history.begin);
+    showMoment(moment);
+  },
+  toEnd() {
+    if (!past) return;
+    past = false;
+    showMoment(present);
+  },
+};
+
+// A log
+
+const player = new Player(showMoment, (text) => { trouble = text; put("link", text); }, soon);
+const played = {
+  get begin() { return player.log ? player.log.begin_s : 0; },
+  get end() { return player.log ? player.log.end_s : 0; },
+  get now() { return player.t; },
+  live: false,
+  get playing() { return player.playing; },
+  get events() { return player.log ? player.log.events : []; },
+  history: () => player.charts,
+  window: () => player.window,
+  spanned: (span_s) => player.chart(span_s),
+  seek(t_s) { player.seek(t_s); timeline.show(); soon(); address(); },
+  toEnd() {},
+  play(on) { player.play(on); timeline.show(); address(); },
+  rate(times) { player.rate = times; },
+};
+
+const ADDRESS_S = 1; // between two times in the address, which browsers bound
+let addressed = 0, pending = 0;
+function address() {
+  const wait = ADDRESS_S - (seconds() - addressed);
+  if (pending || !player.log) return;
+  pending = setTimeout(() => {
+    pending = 0;
+    addressed = seconds();
+    window.history.replaceState(null, "", `#t=${player.t.toFixed(1)}`);
+  }, Math.max(0, 1e3 * wait));
+}
+
+async function playLog() {
+  try {
+    const { scene, begin_s } = await player.open();
+    seen.scene = scene;
+    showScene(scene);
+    player.pictures = $("camerabox").open && scene.camera_px !== null;
+    player.seek(timeOfAddress(location) ?? begin_s);
+    player.chart(timeline.span);
+  } catch (error) { player.failed(error); }
+  window.addEventListener("hashchange", () => { const t_s = timeOfAddress(location); if (t_s !== null && Math.abs(t_s - player.t) > 0.06) played.seek(t_s); });
+  let before = seconds();
+  const step = () => {
+    const now = seconds();
+    if (player.playing) {
+      player.tick(Math.min(now - before, 0.25));
+      timeline.show();
+      soon();
+      address();
+    }
+    before = now;
+    requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+}
+
+const timeline = new Timeline(log ? played : recent, log);
+
 // What there is room for: a picture on a desk, the plan first on a phone.
 if (matchMedia("(min-width: 801px)").matches) $("camerabox").open = true;
 else $("steer").open = false;
 legend();
-listen();
+if (log) playLog();
+else listen();
