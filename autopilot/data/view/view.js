@@ -721,7 +721,7 @@ async function playLog() {
     player.seek(timeOfAddress(location) ?? begin_s);
     player.chart(timeline.span);
   } catch (error) { player.failed(error); }
-  window.addEventListener("hashchange", () => { const t_s = timeOfAddress(location); if (t_s !== null && Math.abs(t_s - player.t) > 0.06) played.seek(t_s); });
+  window.addEventListener("hashchange", ({ newURL }) => { const t_s = timeOfAddress(new URL(newURL)); if (t_s !== null && Math.abs(t_s - player.t) > 0.06) played.seek(t_s); });
   let before = seconds();
   const step = () => {
     const now = seconds();
