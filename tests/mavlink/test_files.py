@@ -363,7 +363,7 @@ def test_a_burst_grows_with_what_arrives_and_leaves_the_ticks_of_an_armed_vehicl
         return at, most, wrong
 
     at, most, wrong = read(0, 60)
-    assert (most, wrong) == (96, 0) and at > 700_000, (at, most)
+    assert (most, wrong) == (112, 0) and at > 700_000, (at, most)
     begun = at
     world.view = replace(world.view, armed=True)
     at, most, wrong = read(begun, 30)
