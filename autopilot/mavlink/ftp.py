@@ -24,14 +24,14 @@ from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
 from autopilot.mavlink.wire import Message, RawMessage
 
-FIRST_PACE, MOST_PACE = 16, 96
-"""Packets of a burst per tick and client: 380 kB/s to 2.3 MB/s, at about 40 us of a tick each, half of that in the
+FIRST_PACE, MOST_PACE = 16, 112
+"""Packets of a burst per tick and client: 380 kB/s to 2.7 MB/s, at about 40 us of a tick each, half of that in the
 socket."""
 BUSY = 0.6
 """Load of the loop above which a burst gets fewer packets per tick."""
 LOAD_US = 1_000_000
 """Time in which the load shows what a change of pace costs."""
-BURST_PACKETS, BURST_TICKS = 256, 4
+BURST_PACKETS, BURST_TICKS = 256, 8
 """Packets per burst (60 kB), but at least so many ticks of them; the client requests the next one."""
 MAX_CLIENTS = 16
 """Clients whose files are kept open; beyond that the oldest is closed."""
