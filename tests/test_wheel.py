@@ -97,8 +97,10 @@ def test_a_built_wheel_holds_every_module_and_data_file(wheel: Path) -> None:
 
 @needs_setuptools
 def test_a_built_wheel_puts_one_package_among_those_of_others(wheel: Path) -> None:
-    tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"autopilot"}
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name and ".data/" not in name} == {"autopilot"}
+    beside = {name.split(".data/")[1] for name in names if ".data/" in name}
+    assert {path.rsplit("/", 1)[0] for path in beside} == {"data/share/underwater-autopilot"}
 
 
 class Installed:

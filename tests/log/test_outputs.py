@@ -304,7 +304,7 @@ def test_a_log_has_to_be_named() -> None:
 
 
 def test_group_lists_its_commands_without_heavy_imports() -> None:
-    looks = {"info", "check", "compare", "report", "plot", "replay", "programs", "tlog"}
+    looks = {"info", "check", "compare", "report", "plot", "replay", "programs", "tlog", "view"}
     assert set(log_command.commands) == looks | {"export", "diff", "find", "recover"}
     heavy = "{'numpy', 'mcap', 'matplotlib', 'bokeh', 'rich'}"
     code = f"import sys, autopilot.cli.log; sys.exit(','.join({heavy} & set(sys.modules)) or 0)"
