@@ -90,12 +90,16 @@ class MarkerDetector:
         return [self._known[kinds == kind] for kind in np.unique(kinds)]
 
     def _expected(self, hint: Hint) -> list[tuple[IntArray, FloatArray]]:
-        """Markers that can be in view, one group for each dictionary: ids (n,) and predicted corners (n, 4, 2)."""
+        """Markers that can be in view, as many as a sighting holds, one group for each dictionary: ids (n,) and
+        predicted corners (n, 4, 2). The search costs the square of their number.
+        """
         r = r_ned_from_frd(hint.rpy_rad)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
         margin_px = max(VISION.hint_margin_px, VISION.hint_margin_m * self._camera.focal_water_px / above_m)
         seen, corners = self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px)
+        kept = _spread_out(len(seen))
+        seen, corners = seen[kept], corners[kept]
         kinds = self._markers.ids[seen] // ID_SPAN
         return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]
 
