@@ -16,14 +16,11 @@ from autopilot.campaign.results import RunResult
 from autopilot.campaign.summary import margin_unit
 from autopilot.core.frames import FloatArray
 from autopilot.log.figure_parts import (
-    BAND,
     BOUND,
     LEAST_FOR_BAND,
     NARROW_IN,
-    SPREAD,
     STYLE,
-    TRUTH,
-    band_label,
+    draw_band,
     figure_of,
     legend_above,
     stacked_axes,
@@ -98,15 +95,13 @@ def _laps(flown: Sequence[RunResult], title: str) -> Figure | None:
     if laps < FEWEST_LAPS or len(flown) < LEAST_FOR_BAND:
         return None
     figure, axes = stacked_axes(2, 4.2)
-    numbers = np.arange(1, laps + 1)
+    numbers = np.arange(1.0, laps + 1.0)
     for ax, label, runs in (
         (axes[0], "energy of a lap [J]", [result.energy_j for result in flown]),
         (axes[1], "time of a lap [s]", [result.lap_s for result in flown]),
     ):
         of_lap = [[values[lap] for values in runs if len(values) > lap] for lap in range(laps)]
-        low, middle, high = np.array([np.quantile(values, (SPREAD[0], 0.5, SPREAD[1])) for values in of_lap]).T
-        ax.fill_between(numbers, low, high, label=band_label(len(flown), "runs"), **BAND)
-        ax.plot(numbers, middle, marker=".", label="median", **TRUTH)
+        draw_band(ax, numbers, of_lap, f"{len(flown)} runs")
         ax.set_ylabel(label)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     legend_above(axes[0])

@@ -1,6 +1,7 @@
 """Common parts of all figures: data of a run, style, axes, bounds, legends."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, flown_laps, load_flight, visits
 from autopilot.log.reader import Log
 
@@ -27,6 +29,8 @@ LEAST_FOR_BAND = 3
 """Flights; of fewer a band says nothing."""
 SPREAD = (0.05, 0.95)
 """Quantiles between which a band lies."""
+MARKED = 20
+"""Fewer places of a band than that are marked."""
 WIDTH_IN = 7.0
 NARROW_IN = 5.0
 """Narrower figures have their pairs of axes below each other."""
@@ -130,8 +134,11 @@ def time_axis(scene: FigureScene, axes: list[Axes]) -> None:
             ax.axvline(lap.end_s, color="#999999", linewidth=0.6)
 
 
-def band_label(count: int, of: str) -> str:
-    return f"{100.0 * SPREAD[0]:.0f} to {100.0 * SPREAD[1]:.0f} % of {count} {of}"
+def draw_band(ax: Axes, at: FloatArray, samples: Sequence[FloatArray | Sequence[float]], of: str) -> None:
+    """Median and SPREAD of the samples at each place. ``of``: how many of what they are of."""
+    low, middle, high = np.array([np.quantile(values, (SPREAD[0], 0.5, SPREAD[1])) for values in samples]).T
+    ax.fill_between(at, low, high, label=f"{100.0 * SPREAD[0]:.0f} to {100.0 * SPREAD[1]:.0f} % of {of}", **BAND)
+    ax.plot(at, middle, marker="." if len(at) < MARKED else "", label="median", **TRUTH)
 
 
 def draw_bounds(ax: Axes, *values: float | None) -> None:

@@ -16,12 +16,10 @@ from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import Span, VehicleTrack, energy_j, wrap
 from autopilot.log.description import RunDescription
 from autopilot.log.figure_parts import (
-    BAND,
-    SPREAD,
     STYLE,
     TRUTH,
     FigureScene,
-    band_label,
+    draw_band,
     draw_bounds,
     extend_limits,
     figure_of,
@@ -187,9 +185,7 @@ def _draw_band(ax: Axes, panel: Panel, scenes: Sequence[FigureScene], curves: Se
     if panel.angle:  # flights that turned the other way round have the same heading: all are taken near the mean's
         mean = np.unwrap(np.angle(np.exp(1j * sampled).mean(axis=0)))
         sampled = mean + wrap(sampled - mean)
-    low, middle, high = np.quantile(sampled, (SPREAD[0], 0.5, SPREAD[1]), axis=0)
-    ax.fill_between(at_s, low, high, label=band_label(len(scenes), "flights"), **BAND)
-    ax.plot(at_s, middle, label="median", **TRUTH)
+    draw_band(ax, at_s, list(sampled.T), f"{len(scenes)} flights")
 
 
 def _panels(
