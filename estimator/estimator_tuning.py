@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from autopilot.core.samples import MAX_SIGHTED
+
 
 @dataclass(frozen=True, slots=True)
 class CameraMonitorTuning:
@@ -493,6 +495,8 @@ class VisionTuning:
     hint_margin_m: float = 0.06
     """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some
     centimetres and degrees of error. Close to the floor a centimetre is many pixels."""
+    most_expected: int = 2 * MAX_SIGHTED
+    """So many are searched at most: without those in the margin and hidden ones, enough for a sighting are left."""
     window_px: int = 13
     """The one adaptive threshold window while tracking: about a quarter to a half of a marker's side."""
     acquire_windows_px: tuple[int, int, int] = (7, 31, 8)

@@ -46,9 +46,9 @@ class Hint:
     """(3,)"""
 
 
-def _spread_out(count: int) -> IntArray:
-    """Which of so many markers a sighting holds: all, or as many as it can, spread over the picture."""
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_SIGHTED)).round().astype(np.int64))
+def _spread_out(count: int, most: int) -> IntArray:
+    """Places of ``most`` of ``count`` markers, spread over all."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 class MarkerDetector:
@@ -74,7 +74,7 @@ class MarkerDetector:
             each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
         laser = find_dot(image, self._camera, self._laser_range_m(hint)) if self._camera.has_laser else None
         ids = np.array([int(i) for some in each for i in some.ids], dtype=np.int64)
-        kept = _spread_out(len(ids))
+        kept = _spread_out(len(ids), MAX_SIGHTED)
         corners_px = np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)])
         return MarkerSighting(
             t_us=frame.t_us,
@@ -90,15 +90,15 @@ class MarkerDetector:
         return [self._known[kinds == kind] for kind in np.unique(kinds)]
 
     def _expected(self, hint: Hint) -> list[tuple[IntArray, FloatArray]]:
-        """Markers that can be in view, as many as a sighting holds, one group for each dictionary: ids (n,) and
-        predicted corners (n, 4, 2). The search costs the square of their number.
+        """Markers that can be in view, no more than are worth their search, one group for each dictionary: ids (n,)
+        and predicted corners (n, 4, 2).
         """
         r = r_ned_from_frd(hint.rpy_rad)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
         margin_px = max(VISION.hint_margin_px, VISION.hint_margin_m * self._camera.focal_water_px / above_m)
         seen, corners = self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px)
-        kept = _spread_out(len(seen))
+        kept = _spread_out(len(seen), VISION.most_expected)
         seen, corners = seen[kept], corners[kept]
         kinds = self._markers.ids[seen] // ID_SPAN
         return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]

@@ -2,6 +2,7 @@
 // Off, it costs nothing; out of sight nothing is drawn.
 
 const TURN_RAD_PX = 0.008, TURN_KEY_RAD = 0.15, ZOOM_KEY = 1.25, MOST_NEAR = 1000;
+const RESET = "3-D: the graphics driver has reset; wait, or reload the page";
 const KEYS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 export class SpaceView {
@@ -23,9 +24,17 @@ export class SpaceView {
       if (way) this.turn(way[0] * TURN_KEY_RAD, way[1] * TURN_KEY_RAD);
       else work();
     });
-    // three.js asks for the context again, and takes up the one that comes.
-    on("webglcontextlost", () => { this.words.textContent = "3-D: the graphics driver has reset; wait, or reload the page"; });
-    on("webglcontextrestored", () => this.show(""));
+    // Nothing of a lost context may be used, or deleted, in the next one: another world is made there.
+    on("webglcontextlost", (event) => {
+      event.preventDefault(); // asks for the next one
+      if (this.world) this.world.renderer.dispose();
+      this.world = null;
+      this.words.textContent = RESET;
+    });
+    on("webglcontextrestored", async () => {
+      if (this.on) this.world = await this.made();
+      this.show("");
+    });
   }
 
   async toggle() {
@@ -42,6 +51,7 @@ export class SpaceView {
     if (this.missing) throw new Error(this.missing);
     const context = this.canvas.getContext("webgl", { antialias: true });
     if (!context) throw new Error("3-D needs WebGL, which this browser does not offer");
+    if (context.isContextLost()) throw new Error(RESET);
     const [{ World }] = await Promise.all([import("./space_world.js"), window.THREE ?? loaded("/three.js")]);
     return new World(window.THREE, this.canvas, context);
   }
