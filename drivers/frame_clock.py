@@ -40,6 +40,11 @@ PAUSE_BEATS = 60.0
 LOST_COUNT = 20
 """Consecutive arrivals off the line on one side after which the transport has changed, and the line is restarted."""
 
+FEW, UNKNOWN_SIGMA_US = 8, 10_000.0
+"""Jitter that is assumed until there are more arrivals."""
+MAD_SIGMA = 1.4826
+"""Standard deviation over median distance from the median, of a normal distribution."""
+
 
 def machine_us() -> int:
     """The machine's clock that only counts."""
@@ -82,6 +87,18 @@ class FrameClock:
         """Estimated frame rate [Hz]; 0 = no period found."""
         return 0.0 if self._line is None else 1e6 / self._line.beat_us
 
+    @property
+    def sigma_us(self) -> float:
+        """Standard deviation of the last stamp about the exposure and the mean delay."""
+        times = self._times_us
+        if self._line is not None:
+            return self._line.stamp_sigma_us(len(times))
+        if len(times) <= FEW:
+            return UNKNOWN_SIGMA_US
+        steps_us = np.diff(np.array(times, dtype=float))
+        off_us = np.abs(steps_us - np.median(steps_us))
+        return float(np.median(off_us)) * MAD_SIGMA / math.sqrt(2.0)  # a step has the jitter of two arrivals
+
     def stamp(self, arrival_us: int) -> int:
         """Arrival time of this image at the mean delay [us]. Arrivals must be in order."""
         times, line = self._times_us, self._line
@@ -119,6 +136,11 @@ class _Line:
     def __init__(self, at_us: float, beat_us: float, sigma_us: float) -> None:
         self.at_us, self.beat_us, self.sigma_us = at_us, beat_us, sigma_us
         self._early = min(max(EARLY_SIGMAS * sigma_us / beat_us, EARLY[0]), EARLY[1])
+
+    def stamp_sigma_us(self, count: int) -> float:
+        """Standard deviation at the end of the line through ``count`` arrivals, wrongly numbered ones among them."""
+        wrong = math.erfc(0.5 * self.beat_us / (math.sqrt(2.0) * self.sigma_us))
+        return math.hypot(2.0 * self.sigma_us / math.sqrt(count), self.beat_us * math.sqrt(wrong))
 
     def of(self, time_us: float) -> float:
         return self.at_us + math.floor((time_us - self.at_us) / self.beat_us + self._early) * self.beat_us

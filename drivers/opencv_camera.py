@@ -9,7 +9,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 
@@ -78,21 +78,32 @@ def _ffmpeg_options() -> Iterator[None]:
                 del os.environ[name]
 
 
+class _Grabbed(NamedTuple):
+    """A picture; times by :func:`machine_us`."""
+
+    grabbed_us: int
+    beat_us: int
+    """The grab at the mean delay,"""
+    sigma_us: float
+    """and its standard deviation."""
+    image: Any
+
+
 class _Grabber:
     """The thread of one opening: it owns its capture and lets go of it when it ends, even late."""
 
     def __init__(self, capture: Any) -> None:
         self._capture = capture
         self._lock = threading.Lock()
-        self._newest: tuple[int, int, Any] | None = None
+        self._newest: _Grabbed | None = None
         self.stopped = False
         self.failed = ""
         self.missed = 0
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
-    def take(self) -> tuple[int, int, Any] | None:
-        """The newest picture that has not been taken, with the time of its grab and that of its beat [us]."""
+    def take(self) -> "_Grabbed | None":
+        """The newest picture that has not been taken."""
         with self._lock:
             newest, self._newest = self._newest, None
         return newest
@@ -117,7 +128,7 @@ class _Grabber:
                     continue
                 with self._lock:
                     self.missed += self._newest is not None
-                    self._newest = grabbed_us, beat_us, image
+                    self._newest = _Grabbed(grabbed_us, beat_us, beat.sigma_us, image)
         except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; poll reports them to the loop
             self.failed = str(error) or type(error).__name__
         finally:
@@ -188,13 +199,12 @@ class OpenCvCamera(Closing):
             if t_us - self._last_frame_us > DEAD_US:
                 raise DriverError(f"{self._options.source} hangs; check cable and power")
             return []
-        grabbed_us, beat_us, image = newest
         self._last_frame_us = t_us
-        taken_us = min(self._time.at(beat_us) - self._latency_us, self._time.at(grabbed_us))
+        taken_us = min(self._time.at(newest.beat_us) - self._latency_us, self._time.at(newest.grabbed_us))
         if taken_us <= self._last_us:
             return []
         self._last_us = taken_us
-        return [CameraFrame(t_us=taken_us, image_bgr=image)]
+        return [CameraFrame(t_us=taken_us, image_bgr=newest.image, stamp_sigma_s=1e-6 * newest.sigma_us)]
 
     def _set_up(self, capture: Any, cv2: Any) -> list[str]:
         """Set size, rate, exposure, and a buffer of one image; returns the refused settings."""

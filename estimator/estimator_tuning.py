@@ -3,8 +3,6 @@
 import math
 from dataclasses import dataclass
 
-from autopilot.core.samples import MAX_SIGHTED
-
 
 @dataclass(frozen=True, slots=True)
 class CameraMonitorTuning:
@@ -495,8 +493,12 @@ class VisionTuning:
     hint_margin_m: float = 0.06
     """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some
     centimetres and degrees of error. Close to the floor a centimetre is many pixels."""
-    most_expected: int = 2 * MAX_SIGHTED
-    """So many are searched at most: without those in the margin and hidden ones, enough for a sighting are left."""
+    most_expected: int = 96
+    """Of an image with more only the middle is searched: time grows with their number, and a sighting holds 64."""
+    middle: float = 0.5
+    enough: int = 6
+    """A quick search without a hint tries this share of the image's width and height first, and ends with so many
+    markers."""
     window_px: int = 13
     """The one adaptive threshold window while tracking: about a quarter to a half of a marker's side."""
     acquire_windows_px: tuple[int, int, int] = (7, 31, 8)

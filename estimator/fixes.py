@@ -46,6 +46,9 @@ class Fixes:
 
     def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
         """Process one fix at ``node``; ``health``: that of the last estimate."""
+        if fix.stamp_sigma_s > 0.0:
+            motion = np.append(node.state.x[VEL], node.moment.inertial.yaw_rate_rad_s)
+            fix = replace(fix, noise=fix.noise + np.diag((fix.stamp_sigma_s * motion) ** 2))
         if not aid.trust.trusted:
             self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
             return

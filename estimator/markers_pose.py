@@ -360,6 +360,7 @@ class MarkerSolver:
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
+            stamp_sigma_s=sighting.stamp_sigma_s,
             focal=focal,
             z=np.append(best.pos_ned_m, best.rpy_rad[2]),
             noise=best.covariance,
@@ -488,6 +489,7 @@ class MarkerSolver:
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
+            stamp_sigma_s=sighting.stamp_sigma_s,
             focal=focal,
             z=best.z,
             noise=best.noise,

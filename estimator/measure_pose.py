@@ -63,6 +63,8 @@ class MarkerOutlier(NamedTuple):
 class PoseFix(Measurement):
     """Pose of the centre of gravity: z = (4,) (north, east, down [m], yaw [rad])."""
 
+    stamp_sigma_s: float = 0.0
+    """Standard deviation of its time: what it is worth in position and heading depends on the motion."""
     tilt_rad: tuple[float, float] | None = None
     """Roll and pitch that the same image shows."""
     sigma_tilt_rad: float = 0.0

@@ -14,11 +14,13 @@ half the noise. Histogram equalisation (CLAHE) costs more and detects less.
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.dictionaries import opencv_dictionary
@@ -46,15 +48,16 @@ class Hint:
     """(3,)"""
 
 
-def _spread_out(count: int, most: int) -> IntArray:
-    """Places of ``most`` of ``count`` markers, spread over all."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+def _spread_out(count: int) -> IntArray:
+    """Which of so many markers a sighting holds: all, or as many as it can, spread over the picture."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_SIGHTED)).round().astype(np.int64))
 
 
 class MarkerDetector:
     """Finds the markers of one map with one camera."""
 
-    def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
+    def __init__(self, camera: CameraModel, markers: MarkerMap, *, quick: bool = False) -> None:
+        """``quick``: without a hint not every marker is found, but enough for a pose."""
         cv2.setNumThreads(1)
         self._camera = camera
         self._markers = markers
@@ -62,19 +65,17 @@ class MarkerDetector:
         self._dictionaries = [opencv_dictionary(name) for name in markers.dictionaries]
         self._patterns = [patterns_of(name) for name in markers.dictionaries]
         self._known: IntArray = np.unique(markers.ids)
+        self._quick = quick
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
         """Detections in the image; a function of its arguments alone. ``decode_us`` is set by the caller."""
         image = frame.image_bgr
         grey, hazy = grey_of(image)
         # Most maps are of one dictionary; each further kind in view costs a search of its own.
-        if hint is None:
-            each = [self._search(grey, hazy, ids) for ids in self._acquisition()]
-        else:
-            each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
+        each = self._blind(grey, hazy) if hint is None else self._predicted(grey, hazy, hint)
         laser = find_dot(image, self._camera, self._laser_range_m(hint)) if self._camera.has_laser else None
         ids = np.array([int(i) for some in each for i in some.ids], dtype=np.int64)
-        kept = _spread_out(len(ids), MAX_SIGHTED)
+        kept = _spread_out(len(ids))
         corners_px = np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)])
         return MarkerSighting(
             t_us=frame.t_us,
@@ -82,26 +83,44 @@ class MarkerDetector:
             corners_px=corners_px[kept],
             laser_px=laser,
             sigma_px=np.concatenate([some.sigma_px for some in each])[kept] if len(ids) else None,
+            stamp_sigma_s=frame.stamp_sigma_s,
         )
 
-    def _acquisition(self) -> list[IntArray]:
-        """All ids of the map, one group for each dictionary."""
+    def _blind(self, grey: Any, hazy: bool) -> list["_Seen"]:
+        """Markers of the whole map. If quick: in the middle of the image, in all of it where these are too few, and
+        again where these are."""
         kinds = self._known // ID_SPAN
-        return [self._known[kinds == kind] for kind in np.unique(kinds)]
+        groups = [self._known[kinds == kind] for kind in np.unique(kinds)]
+        for share in (VISION.middle, 1.0) if self._quick else (1.0,):
+            part = _Part.middle_of(grey, share)
+            each = [part.back(self._search(part.of(grey), hazy, ids, share)) for ids in groups]
+            if sum(len(some.ids) for some in each) >= VISION.enough:
+                break
+        return each
 
-    def _expected(self, hint: Hint) -> list[tuple[IntArray, FloatArray]]:
-        """Markers that can be in view, no more than are worth their search, one group for each dictionary: ids (n,)
-        and predicted corners (n, 4, 2).
+    def _predicted(self, grey: Any, hazy: bool, hint: Hint) -> list["_Seen"]:
+        """Markers where they should be: in the image, or around its middle where that has enough for a sighting."""
+        seen, corners, margin_px = self._expected(hint)
+        count = int(self._camera.inside(corners).all(axis=1).sum())
+        part = _Part.middle_of(grey, math.sqrt(VISION.most_expected / max(count, VISION.most_expected)))
+        corners = corners - part.corner_px
+        kinds = self._markers.ids[seen] // ID_SPAN
+        near = part.near(corners, margin_px)
+        return [
+            part.back(self._track(part.of(grey), hazy, self._markers.ids[seen[some]], corners[some]))
+            for kind in np.unique(kinds[near])
+            for some in (near & (kinds == kind),)
+        ]
+
+    def _expected(self, hint: Hint) -> tuple[IntArray, FloatArray, float]:
+        """Markers that can be in view: their places in the map (n,), predicted corners (n, 4, 2), and how far outside
+        of the image these may be [px].
         """
         r = r_ned_from_frd(hint.rpy_rad)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
         margin_px = max(VISION.hint_margin_px, VISION.hint_margin_m * self._camera.focal_water_px / above_m)
-        seen, corners = self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px)
-        kept = _spread_out(len(seen), VISION.most_expected)
-        seen, corners = seen[kept], corners[kept]
-        kinds = self._markers.ids[seen] // ID_SPAN
-        return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]
+        return *self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px), margin_px
 
     def _laser_range_m(self, hint: Hint | None) -> float | None:
         if hint is None:
@@ -145,18 +164,20 @@ class MarkerDetector:
         nearby = near_predicted(found.elsewhere(np.concatenate(nearly)), left.places, left.spread_px)
         return self._accepted(smooth, dictionary, self._with_nearly(smooth, dictionary, found, left.ids, *nearby))
 
-    def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
-        """Markers whose id is one of ``ids``, all of one dictionary."""
+    def _search(self, grey: Any, hazy: bool, ids: IntArray, share: float) -> "_Seen":
+        """Markers whose id is one of ``ids``, all of one dictionary, in this share of an image."""
         unique_ids = np.unique(ids)
         dictionary = self._dictionary_of(unique_ids)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
         found, rejected = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
+        seen = smooth if hazy else grey
+        if self._quick and (share < 1.0 or len(found.ids) >= VISION.enough):
+            return self._accepted(seen, dictionary, Found(unique_ids[found.ids], found.quads))
         # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
-        again, nearly = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
-        found = found.with_new(again)
+        more, nearly = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
+        found = found.with_new(more)
         found = Found(unique_ids[found.ids], found.quads)
-        seen = smooth if hazy else grey
         quads = found.elsewhere(np.concatenate((rejected, nearly)))[: SECOND_LOOK.most]
         allowed = np.ones((len(quads), 4, len(unique_ids)), dtype=np.bool_)
         return self._accepted(seen, dictionary, self._with_nearly(seen, dictionary, found, unique_ids, quads, allowed))
@@ -191,6 +212,39 @@ class MarkerDetector:
         exact = self._markers.dictionaries[kind] in EXACT
         correct = 0 if exact else whole.maxCorrectionBits
         return cv2.aruco.Dictionary(whole.bytesList[ids % ID_SPAN], whole.markerSize, correct)
+
+
+class _Part(NamedTuple):
+    """A part of an image, in whole pixels."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @classmethod
+    def middle_of(cls, image: Any, share: float) -> "_Part":
+        """The middle with that share of width and height."""
+        rows, columns = image.shape
+        left, top = round(0.5 * (1.0 - share) * columns), round(0.5 * (1.0 - share) * rows)
+        return cls(left, top, columns - left, rows - top)
+
+    @property
+    def corner_px(self) -> FloatArray:
+        return np.array([self.left, self.top], dtype=float)
+
+    def of(self, image: Any) -> Any:
+        return np.ascontiguousarray(image[self.top : self.bottom, self.left : self.right])
+
+    def near(self, corners_px: FloatArray, margin_px: float) -> NDArray[np.bool_]:
+        """(n,) which of (n, 4, 2), in pixels of the part, lie in it or no further away than that."""
+        size_px = np.array([self.right - self.left, self.bottom - self.top])
+        inside = (corners_px > -margin_px) & (corners_px < size_px + margin_px)
+        return np.asarray(inside.all(axis=(1, 2)))
+
+    def back(self, seen: "_Seen") -> "_Seen":
+        """What was seen in the part, in pixels of the image."""
+        return seen._replace(corners_px=seen.corners_px + self.corner_px)
 
 
 class _Seen(NamedTuple):

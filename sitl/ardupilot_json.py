@@ -9,10 +9,11 @@ frame whose reply was lost is sent again with the same number; a restart of the 
 """
 
 import json
-import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.sitl.plant import Truth
@@ -49,21 +50,25 @@ def parse_servos(data: bytes) -> ServoPacket | None:
     )
 
 
-def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
-    """The reply. ``floor_m``: depth of the floor for a down-looking range finder; None = no range finder."""
-    velocity = r_ned_from_frd(truth.rpy_rad) @ truth.vel_frd_m_s
+def state_line(truth: Truth, t_s: float, floor_m: float | None, pressure_frd_m: tuple[float, float, float]) -> bytes:
+    """The reply. ``floor_m``: depth of the floor for a down-looking range finder; None = no range finder.
+    ``pressure_frd_m``: where the pressure sensor is, of which ArduPilot knows nothing: it reads the depth of the
+    position.
+    """
+    r = r_ned_from_frd(truth.rpy_rad)
+    velocity = r @ truth.vel_frd_m_s
+    north, east, down = truth.pos_ned_m.tolist()
     state: dict[str, object] = {
         "timestamp": t_s,
         "imu": {"gyro": truth.rate_frd_rad_s.tolist(), "accel_body": truth.accel_frd_m_s2.tolist()},
-        "position": truth.pos_ned_m.tolist(),
+        "position": [north, east, down + float(r[2] @ np.array(pressure_frd_m))],
         "attitude": truth.rpy_rad.tolist(),
         "quaternion": truth.quat.tolist(),
         "velocity": velocity.tolist(),
         "battery": {"voltage": truth.voltage_v, "current": truth.current_a},
     }
     if floor_m is not None:
-        upright = math.cos(float(truth.rpy_rad[0])) * math.cos(float(truth.rpy_rad[1]))
-        state["rng_1"] = max(0.0, floor_m - float(truth.pos_ned_m[2])) / max(0.1, upright)
+        state["rng_1"] = max(0.0, floor_m - down) / max(0.1, float(r[2, 2]))
     # ArduPilot's parser needs no space after a colon, and one line per message.
     return b"\n" + json.dumps(state, separators=(",", ":")).encode() + b"\n"
 
@@ -71,11 +76,18 @@ def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
 class JsonPhysics:
     """Packets in, answers out, in lockstep: every new frame moves the plant on by one period of the asked rate."""
 
-    def __init__(self, make: Callable[[], Callable[[int, tuple[int, ...]], Truth]], floor_m: float | None) -> None:
-        """``make``: a fresh vehicle; a call moves it on to a time [us] with pulses held, the result is its truth."""
+    def __init__(
+        self,
+        make: Callable[[], Callable[[int, tuple[int, ...]], Truth]],
+        floor_m: float | None,
+        pressure_frd_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """``make``: a fresh vehicle; a call moves it on to a time [us] with pulses held, the result is its truth.
+        The others: see :func:`state_line`.
+        """
         self._make = make
         self._go = make()
-        self._floor_m = floor_m
+        self._floor_m, self._pressure_frd_m = floor_m, pressure_frd_m
         self._t_s = 0.0
         self._frame: int | None = None
         self._answer = b""
@@ -107,5 +119,5 @@ class JsonPhysics:
         self.frames += 1
         self._t_s += 1.0 / packet.rate_hz
         self.truth = self._go(self.t_us, packet.pwm_us)
-        self._answer = state_line(self.truth, self._t_s, self._floor_m)
+        self._answer = state_line(self.truth, self._t_s, self._floor_m, self._pressure_frd_m)
         return self._answer

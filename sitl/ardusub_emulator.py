@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
@@ -130,6 +131,7 @@ class ArduSubEmulator:
         self._scales = frame != "vectored"
         signs = [1] * len(self._rows) if directions is None else list(directions)
         self._wiring = self._wired(vehicle, signs)
+        self._pressure_frd_m = np.array(vehicle.depth_sensor.position_frd_m)
         self.parameters = {**default_parameters(frame, signs), **(parameters or {})}
         """Live: what is written here or by PARAM_SET acts at once."""
         self.mode = MANUAL
@@ -432,7 +434,7 @@ class ArduSubEmulator:
                 self._send(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))
             case "SCALED_PRESSURE2":
                 if t_us - self._pressure_us >= 1e6 / self.pressure_hz - 1000.0:
-                    depth_m = float(truth.pos_ned_m[2])
+                    depth_m = float(truth.pos_ned_m[2] + r_ned_from_frd(truth.rpy_rad)[2] @ self._pressure_frd_m)
                     noise = PRESSURE_NOISE_PA * float(self._rng.standard_normal())
                     self._pressure_hpa = 0.01 * (GROUND_PA + WATER_KG_M3 * G * depth_m + noise)
                     self._pressure_us = t_us

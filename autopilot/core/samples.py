@@ -45,6 +45,8 @@ class CameraFrame:
 
     t_us: int
     image_bgr: Any
+    stamp_sigma_s: float = 0.0
+    """Standard deviation of ``t_us`` from picture to picture; an error that all have in common is not in it."""
 
 
 class FrameVerdict(Enum):
@@ -97,6 +99,8 @@ class MarkerSighting:
     """(n,) standard deviation of each marker's corners per axis, from the image; None = unknown."""
     decode_us: int = 0
     """Time that detection took, for the log."""
+    stamp_sigma_s: float = 0.0
+    """As that of the image."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -91,6 +91,7 @@ float32[512] corners_px  # 64 markers, 4 corners, x and y
 float64[2] laser_px  # where the dot is, pixel centres at whole numbers
 uint32 decode_us  # time that detection took
 float32[64] sigma_px  # of each marker's corners, 0 = not known
+float64 stamp_sigma_s  # of t_us from picture to picture, 0 = exact
 """,
     ),
     SampleRow(

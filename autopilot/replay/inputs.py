@@ -33,7 +33,7 @@ def marker_sighting(row: Any) -> MarkerSighting:
     """From a row of ``/in/markers``."""
     count = int(row["count"])
     corners = row["corners_px"][: 8 * count].astype(float).reshape(count, 4, 2)
-    # Logs from before this was known do not have it.
+    # Logs from before sigmas were known do not have them.
     sigma = row["sigma_px"][:count].astype(float) if "sigma_px" in row.dtype.names else np.zeros(count)
     return MarkerSighting(
         t_us=int(row["t_us"]),
@@ -42,6 +42,7 @@ def marker_sighting(row: Any) -> MarkerSighting:
         laser_px=row["laser_px"].copy() if row["laser_found"] else None,
         sigma_px=sigma if sigma.all() else None,
         decode_us=int(row["decode_us"]),
+        stamp_sigma_s=float(row["stamp_sigma_s"]) if "stamp_sigma_s" in row.dtype.names else 0.0,
     )
 
 

@@ -344,7 +344,7 @@ def _marker_vision(known: KnownEnvironment, *, paced: bool) -> VisionWorker | No
     if known.markers is None:
         return None
     camera = known.vehicle.eye
-    detector = MarkerDetector(CameraModel.of(camera, known.vehicle.laser), known.markers)
+    detector = MarkerDetector(CameraModel.of(camera, known.vehicle.laser), known.markers, quick=True)
     frame_filter = FrameFilter(camera.width_px, camera.height_px)
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)
 

@@ -80,7 +80,9 @@ def serve_physics(
         vehicles.append(ArduSubVehicle(scenario, hull, frame, seed=seed))
         return vehicles[-1].driven
 
-    physics = JsonPhysics(fresh, None if scenario.tank is None else scenario.tank.depth_m)
+    physics = JsonPhysics(
+        fresh, None if scenario.tank is None else scenario.tank.depth_m, hull.depth_sensor.position_frd_m
+    )
     trackers = [open_link(text) for text in pose]
     pictures = opened_camera(scenario, hull, seed, camera, tell)
     track = None if truth_file is None else truth_file.open("w", encoding="utf-8")

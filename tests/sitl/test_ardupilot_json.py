@@ -51,7 +51,9 @@ def physics(folder: Path, text: str = STILL) -> JsonPhysics:
     path.write_text(text, encoding="utf-8")
     scenario = with_vehicle(load_scenario(str(path)), "bluerov2", "--vehicle")
     vehicle = load_vehicle("bluerov2")
-    return JsonPhysics(lambda: ArduSubVehicle(scenario, vehicle, "vectored", seed=1).driven, 10.0)
+    return JsonPhysics(
+        lambda: ArduSubVehicle(scenario, vehicle, "vectored", seed=1).driven, 10.0, vehicle.depth_sensor.position_frd_m
+    )
 
 
 def told(answer: bytes | None) -> dict[str, Any]:
@@ -92,7 +94,10 @@ def test_what_it_answers_is_the_state_of_the_hull(tmp_path: Path) -> None:
         state = told(flown.answer(packet(frame, AHEAD if frame < 800 else TURN)))
     truth = flown.truth
     assert truth is not None
-    assert state["position"] == truth.pos_ned_m.tolist()
+    north, east, down = truth.pos_ned_m.tolist()
+    pressure_down_m = down + r_ned_from_frd(truth.rpy_rad)[2] @ load_vehicle("bluerov2").depth_sensor.position_frd_m
+    assert state["position"] == [north, east, pytest.approx(pressure_down_m)]
+    assert abs(pressure_down_m - down) > 0.01, "it pitches as it goes ahead"
     assert state["velocity"] == pytest.approx((r_ned_from_frd(truth.rpy_rad) @ truth.vel_frd_m_s).tolist())
     assert rpy_from_quat(state["quaternion"]) == pytest.approx(state["attitude"], abs=1e-9)
     # 400 Hz: 1200 frames are 3 s.

@@ -60,6 +60,7 @@ def marker_sighting(stamp_ns: int, sighting: MarkerSighting) -> bytes:
         message[_marker_offset["laser_found"]] = 1
         struct.pack_into("<2d", message, _marker_offset["laser_px"], *sighting.laser_px.tolist())
     struct.pack_into("<I", message, _marker_offset["decode_us"], clip(sighting.decode_us, UINT32))
+    struct.pack_into("<d", message, _marker_offset["stamp_sigma_s"], sighting.stamp_sigma_s)
     return bytes(message)
 
 
