@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.messages import Authority
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
@@ -134,6 +135,23 @@ def test_it_measures_what_the_vehicle_does(bench: Bench) -> None:
     stamps = np.diff([sample.t_us for sample in ahrs])
     assert stamps.min() > 0
     assert not any(sample.wet for sample in bench.samples if isinstance(sample, LeakSample))
+
+
+def test_its_depth_is_that_of_the_pressure_sensor(bench: Bench) -> None:
+    bench.ready()
+    bench.armed, bench.pulses = True, FORWARD
+    apart_m, pitched_m = [], []
+    for _ in range(200):
+        bench.samples.clear()
+        bench.tick()
+        truth = bench.world.truth
+        behind_m = float(r_ned_from_frd(truth.rpy_rad)[2] @ load_vehicle("bluerov2").depth_sensor.position_frd_m)
+        for sample in bench.samples:
+            if isinstance(sample, DepthSample):
+                apart_m.append(sample.depth_m - float(truth.pos_ned_m[2]) - behind_m)
+                pitched_m.append(behind_m)
+    assert len(apart_m) >= 15 and np.ptp(pitched_m) > 0.03, "it pitches as it sets off"
+    assert np.ptp(apart_m) < 0.02
 
 
 def test_thrust_goes_ahead_and_comes_out_as_it_was_meant(bench: Bench) -> None:

@@ -54,6 +54,24 @@ def test_stamps_vary_less_than_arrivals(rate_hz: float, kind: str, lost: float, 
     assert inner <= max(0.5 * np.ptp(np.percentile(arrivals, [2, 98])), 400.0)
 
 
+HEAVY: dict[str, Delay] = {
+    **DELAYS,
+    "a third of a beat": lambda rng: 80_000.0 + 10_000.0 * rng.standard_normal(),
+    "a beat": lambda rng: 100_000.0 + 30_000.0 * rng.standard_normal(),
+}
+
+
+@settings(max_examples=60)
+@given(st.floats(9.0, 30.0), st.sampled_from(sorted(HEAVY)), st.sampled_from([0.0, 0.1]), st.integers(0, 1 << 30))
+def test_stamps_say_how_far_they_are_off(rate_hz: float, kind: str, lost: float, seed: int) -> None:
+    clock = FrameClock()
+    late_us = stream(clock, rate_hz, HEAVY[kind], np.random.default_rng(seed), 2 * WINDOW, lost)[:, 1]
+    last = late_us[-FIRST:]
+    scatter_us = 1.4826 * np.median(np.abs(last - np.median(last)))
+    assert scatter_us < 1.5 * clock.sigma_us + 500.0
+    assert clock.sigma_us < 3.0 * np.ptp(late_us) + 500.0
+
+
 @given(st.integers(0, 1 << 30))
 @settings(max_examples=30)
 def test_without_a_beat_arrivals_stand_for_themselves(seed: int) -> None:

@@ -75,7 +75,8 @@ class LaidWorld(World):
     """The vehicle of :class:`truth.World` with a camera instead of a pose sensor.
 
     ``camera`` is the true one, ``stamped_late_us`` what stamps are later than exposures; sightings come so much later
-    as well, as from a driver that stamps by arrival, unless ``ahead``: then they may come before their stamps."""
+    as well, as from a driver that stamps by arrival, unless ``ahead``: then they may come before their stamps.
+    ``scatter_s``: standard deviation of the stamps from picture to picture."""
 
     def __init__(
         self,
@@ -86,6 +87,7 @@ class LaidWorld(World):
         stamped_late_us: int = 0,
         ahead: bool = False,
         rest_us: int = REST_US,
+        scatter_s: float = 0.0,
     ) -> None:
         super().__init__(no_current, Faults(seed=seed, tilt_error=math.radians(0.3)))
         self._true = true
@@ -94,15 +96,19 @@ class LaidWorld(World):
         self._latency_us = LATENCY_US + (0 if ahead else max(0, stamped_late_us))
         self._rest_us = rest_us
         self._noise = np.random.default_rng((seed, 7))
+        self._scatter_s, self._stamps = scatter_s, np.random.default_rng((seed, 8))
 
     def _command(self) -> FloatArray:
         return super()._command() if self.t_us >= self._rest_us else np.array([0.0, 0.0, 0.6, 0.0])
 
     def _look(self, t: float) -> None:
         pos, rpy = np.array([self.n, self.e, self.d]), np.array([*self.tilt_angles(), self.yaw])
-        sighting = see(self._camera, self._true, self.t_us + self._late_us, pos, rpy, self._noise)
+        off_us = round(1e6 * self._scatter_s * float(np.clip(self._stamps.standard_normal(), -3.0, 3.0)))
+        stamp_us = self.t_us + self._late_us + off_us
+        sighting = see(self._camera, self._true, stamp_us, pos, rpy, self._noise)
         if sighting is not None and sighting.ids:
-            self.pending.append((self.t_us + self._latency_us, sighting))
+            sighting = dataclasses.replace(sighting, stamp_sigma_s=self._scatter_s)
+            self.pending.append((self.t_us + self._latency_us + off_us, sighting))
 
 
 def flown(estimator: AidedEstimator, world: World, seconds: float) -> tuple[Track, list[str]]:

@@ -314,3 +314,19 @@ def test_nobodys_calibration_is_perfect(floor: MarkerMap) -> None:
         squares.append((in_sigmas**2).mean())
     assert np.mean(inside) > 0.95, inside
     assert 0.4 < np.mean(squares) < 2.0, squares
+
+
+@pytest.mark.parametrize("scatter_s", [0.003, 0.01, 0.02])
+@pytest.mark.parametrize("late_us", [0, 15_000])
+def test_stamps_that_scatter_are_no_doubt(make_ekf: Make, floor: MarkerMap, scatter_s: float, late_us: int) -> None:
+    """A camera of a network, stamped by arrival: a few millimetres more, and nothing is suspected."""
+    estimator = make_ekf(markers=floor)
+    world = LaidWorld(floor, 11, scatter_s=scatter_s, stamped_late_us=late_us)
+    track, remarks = flown(estimator, world, 20.0)
+    track = track.after(3.0)
+    assert estimator.counters()["resets"] == 0
+    assert estimator.counters()["markers.rejected"] < 20, "of 500"
+    assert not any(nav.doubts for nav in track.nav)
+    assert all("stamps" in text for text in remarks)
+    error = track.pos_error()[:, :2]
+    assert np.abs(error).max() < 0.02 + 0.3 * 1e-6 * late_us
