@@ -493,7 +493,7 @@ class VisionTuning:
     hint_margin_m: float = 0.06
     """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some
     centimetres and degrees of error. Close to the floor a centimetre is many pixels."""
-    most_expected: int = 96
+    most_expected: int = 64
     """Of an image with more only the middle is searched: time grows with their number, and a sighting holds 64."""
     middle: float = 0.5
     enough: int = 6
