@@ -1,6 +1,7 @@
 """Closed loop of the controller's benchmarks: the paper's tank, the model as the plant, a uniform current."""
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,6 +30,11 @@ TANK = Fence(
 
 WAYPOINTS = ((1.75, 0.0, 0.30, math.pi), (-1.60, -0.35, 0.45, 0.0))
 """B and A of the paper: x, y, z [m], yaw [rad]."""
+
+FLOWN_STEPS = 160
+"""8 s of flight: from A to B and a new goal."""
+
+QUADRATIC = ParamSet({"MPC_COST": 0})
 
 
 def basin(obstacles: int, seed: int = 3) -> Fence:
@@ -70,14 +76,15 @@ def fly(
     *,
     fence: Fence = TANK,
     first: int = 0,
+    params: ParamSet = QUADRATIC,
     watch: Callable[[int, ControlOutput], None] = lambda step, output: None,
 ) -> LoopFlight:
     """Fly from ``start`` (8,) through the waypoints, beginning with number ``first``."""
     move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
-    params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
+    goals, index = [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]
     weights = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *GUIDANCE.velocity_weights])
-    x, acting, cost, failures = np.array(start, dtype=float), np.zeros(4), 0.0, 0
+    x, acting, cost, failures = np.array(start, dtype=float), np.zeros(len(vehicle.thrusters)), 0.0, 0
     states: list[FloatArray] = []
     solve_s: list[float] = []
     planning_s: list[float] = []
@@ -104,6 +111,17 @@ def fly(
         failures=failures,
         cost=cost,
     )
+
+
+def control_load(vehicle: Vehicle, cost: int) -> float:
+    """Share of a core that the controller takes in flight with this MPC_COST, in the paper's tank."""
+    controller = MotionController(vehicle)
+    start = np.array([*WAYPOINTS[1], 0.0, 0.0, 0.0, 0.0])
+    params = ParamSet({"MPC_COST": cost})
+    fly(controller, vehicle, start, 2, params=params)
+    begin_s = time.process_time()
+    fly(controller, vehicle, start, FLOWN_STEPS, params=params)
+    return (time.process_time() - begin_s) / (FLOWN_STEPS * STEP_US * 1e-6)
 
 
 def waypoint(x: float, y: float, z: float, yaw: float) -> Goal:

@@ -22,10 +22,12 @@ from autopilot.core.errors import AutopilotError
 from autopilot.core.messages import Inputs, LoopStats, NavHealth, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame
+from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Link
 from autopilot.drivers.retry import DeviceState
 from autopilot.run.config import EffectiveSettings, system_id
+from autopilot.run.doctor_computer import ThreadMeter, judge_load
 from autopilot.run.doctor_links import ListeningLink, Speaker, company
 from autopilot.run.doctor_samples import judge_samples
 from autopilot.run.findings import Finding, FindingSeverity, silent_remedy
@@ -33,6 +35,9 @@ from autopilot.run.hardware import NAMES, HardwareVehicle
 from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
 from autopilot.run.session import Session
 from autopilot.run.vehicle_config import VehicleConfig
+
+FlightLoad = Callable[[Vehicle, int], float]
+"""Share of a core that the controller of a vehicle takes in flight with an MPC_COST."""
 
 SETTLE_S = 3.0
 """Devices are opened and configured in this time; it is not counted."""
@@ -58,6 +63,8 @@ class _SettledOutputs:
         self.outputs: Outputs | None = None
         self._session_of = session_of
         self._changed_us = 0
+        self.meter = ThreadMeter()
+        self._settled = False
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         self.outputs = outputs
@@ -66,11 +73,15 @@ class _SettledOutputs:
         if reasons != self.reasons:
             self.reasons, self._changed_us = reasons, outputs.t_us
         if outputs.t_us > SETTLE_S * 1e6:
+            if not self._settled:
+                self._settled = True
+                self.meter.start()
             for sample in inputs.samples:
                 self.samples[type(sample)].append(sample)
             self.samples[CameraFrame] += [frame.t_us for frame in frames]  # the pictures themselves fill the memory
 
-    def loop_stats(self, stats: LoopStats) -> None: ...
+    def loop_stats(self, stats: LoopStats) -> None:
+        self.meter.note(stats)
 
     def settled(self, t_us: int, end_us: int) -> bool:
         """Whether the reasons against arming have stopped changing."""
@@ -89,9 +100,11 @@ def examine(
     instance: int = 0,
     speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
+    flying: FlightLoad | None = None,
 ) -> list[Finding]:
     """All findings. Runs for ``seconds`` and as long as reasons against arming still change. ``speed``: of the
-    devices' time; 0 for emulated devices, which follow the ticks and ``on_tick``.
+    devices' time; 0 for emulated devices, which follow the ticks and ``on_tick``. ``flying``: measures what flying
+    takes of the computer; None = the computer is not judged.
     """
     given = overrides or {}
     findings = [*_machine(), *_folders(settings)]
@@ -102,11 +115,12 @@ def examine(
         system = system_id(params, instance)
         links = _open_links(copied["connect"], system, speakers, findings)
         try:
-            found = _run(config, copied, seconds, given, instance, links, speed, on_tick)
+            found = _run(config, copied, seconds, given, instance, links, speed, on_tick, flying)
         except AutopilotError as error:
             findings.append(_failed("service", str(error)))
             return findings
-    session, settled, devices = found
+    session, settled, devices, computer = found
+    findings += computer
     findings += devices
     findings += judge_samples(config, settled.samples, max(_watched_s(settled), 1e-6))
     findings += _company(tuple(speakers.values()), system)
@@ -128,8 +142,9 @@ def _run(
     links: Sequence[Link],
     speed: float,
     on_tick: Callable[[Outputs], None],
-) -> tuple[Session, _SettledOutputs, list[Finding]]:
-    """Run the service for some seconds with neutral thrusters, then close it."""
+    flying: FlightLoad | None,
+) -> tuple[Session, _SettledOutputs, list[Finding], list[Finding]]:
+    """Run the service for some seconds with neutral thrusters, then close it. Findings on devices and computer."""
     made: list[Session] = []
     settled = _SettledOutputs(lambda: made[0])
     session = open_vehicle(
@@ -144,6 +159,7 @@ def _run(
     )
     made.append(session)
     devices: list[Finding] = []
+    computer: list[Finding] = []
     try:
         tick, end_us = 0, round(1e6 * (SETTLE_S + seconds))
         while not settled.settled(tick * TICK_US, end_us):
@@ -152,9 +168,13 @@ def _run(
         vehicle = session.device
         assert isinstance(vehicle, HardwareVehicle)
         devices = _devices(vehicle, config)
+        load = settled.meter.load()
     finally:
         session.close()
-    return session, settled, devices
+    if flying is not None:
+        added = flying(config.vehicle, 0), flying(config.vehicle, 1)
+        computer = judge_load(load, added, int(session.parts.params["MPC_COST"]), has_camera=config.has_camera)
+    return session, settled, devices, computer
 
 
 def _machine() -> list[Finding]:
