@@ -26,6 +26,7 @@ from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
+from autopilot.core.arming_reasons import ArmingReason, ModeGroup
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import GeodeticPosition, Origin, refuse_place
@@ -88,7 +89,7 @@ class Commander:
         )
         self._check_news = PlanCheckNews(plans, self._operator)
         self._fence_guard = FenceGuard(vehicle, params, plans, self._goals)
-        self._readiness: tuple[str, ...] = STARTING
+        self._readiness: tuple[ArmingReason, ...] = STARTING
         self._readiness_us = 0
         self._ending: tuple[int, RunEnd] | None = None
         """At which tick the run ends, and how."""
@@ -148,7 +149,12 @@ class Commander:
     @property
     def readiness(self) -> tuple[str, ...]:
         """:meth:`prearm_reasons` as of the last half second, for telemetry; only that of the plans while armed."""
-        return self._arming.of_plans if self._modes.armed else self._readiness
+        return tuple(reason.text for reason in self.arming_reasons if self._modes.armed or self._concerns(reason))
+
+    @property
+    def arming_reasons(self) -> tuple[ArmingReason, ...]:
+        """The same for all modes."""
+        return self._arming.while_armed if self._modes.armed else self._readiness
 
     @property
     def fenced(self) -> bool:
@@ -156,7 +162,11 @@ class Commander:
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
-        return self._arming.reasons(self._modes.status, blind=self._modes.blind)
+        return tuple(reason.text for reason in self._arming.reasons(self._modes.status) if self._concerns(reason))
+
+    def _concerns(self, reason: ArmingReason) -> bool:
+        """Whether a reason counts in the operator's mode."""
+        return bool(reason.modes & (ModeGroup.POSITIONLESS if self._modes.blind else ModeGroup.POSITION))
 
     # Requests: arming and modes
 
@@ -408,7 +418,7 @@ class Commander:
         )
         modes.apply_failsafes(status)
         if not modes.armed and status.t_us >= self._readiness_us:
-            self._readiness, self._readiness_us = self.prearm_reasons(), status.t_us + READINESS_EVERY_US
+            self._readiness, self._readiness_us = self._arming.reasons(status), status.t_us + READINESS_EVERY_US
         goal, reached = modes.advance(status)
         test = self._tests.step(status)
         self._disarm_flight_controller(status)
@@ -453,7 +463,7 @@ class Commander:
         """Report a new result of the plan check, and end a mission that it forbids."""
         if not self._check_news.changed():
             return
-        self._readiness = self.prearm_reasons()
+        self._readiness = self._arming.reasons(self._modes.status)
         if self._check_news.tell(t_us, in_mission=self._modes.chosen is FlightMode.MISSION):
             self._modes.interrupt()
 

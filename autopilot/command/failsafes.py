@@ -12,6 +12,7 @@ from autopilot.command.failsafe_inputs import FailsafeInputs
 from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, FailsafeRow
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
+from autopilot.core.arming_reasons import ALL_MODES, COMPONENT_OF, ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
@@ -115,28 +116,26 @@ class FailsafeRules:
         self.action = None
         self._judge = True
 
-    def prearm_reasons(self, status: VehicleStatus, *, blind: bool = False) -> tuple[str, ...]:
-        """Why the vehicle must not be armed. ``blind``: for a mode that needs no position."""
+    def prearm_reasons(self, status: VehicleStatus) -> list[ArmingReason]:
+        """Why the vehicle must not be armed."""
         reasons = []
         if status.ahrs_age_s is None or status.ahrs_age_s > AHRS_TIMEOUT_S:
-            reasons.append("AHRS is silent or frozen: check cable and port")
-        remedy = "markers must be in view" if self._failsafe_inputs.has_markers else POSE_REMEDY
-        if blind:
-            pass
-        elif status.nav is None:
-            reasons.append(f"no position yet: {remedy}")
-        elif status.nav.health is not NavHealth.GOOD:
-            reasons.append(f"position is not good: {remedy}")
+            reasons.append(ArmingReason("AHRS is silent or frozen: check cable and port", HealthComponent.AHRS))
+        if status.nav is None or status.nav.health is not NavHealth.GOOD:
+            remedy = "markers must be in view" if self._failsafe_inputs.has_markers else POSE_REMEDY
+            text = f"{'no position yet' if status.nav is None else 'position is not good'}: {remedy}"
+            reasons.append(ArmingReason(text, HealthComponent.POSITION, ALL_MODES & ~ModeGroup.POSITIONLESS))
         if NavDoubt.ACCELEROMETER in status.nav_doubts or NavDoubt.GYRO in status.nav_doubts:
-            reasons.append("AHRS readings are wrong: check range and mounting, restart it")
-        reasons += status.refusals
+            wrong = "AHRS readings are wrong: check range and mounting, restart it"
+            reasons.append(ArmingReason(wrong, HealthComponent.AHRS))
+        reasons += [ArmingReason(text, HealthComponent.DEVICES) for text in status.refusals]
         self._configure()
         text_values = _TextValues(self._params, status, self._failsafe_inputs)
         for watch in self._watches:
             arming = watch.row.arming
             if arming and watch.sign * watch.level(status, self._failsafe_inputs) >= watch.enter:
-                reasons.append(text_values.put_in(arming))
-        return tuple(reasons)
+                reasons.append(ArmingReason(text_values.put_in(arming), COMPONENT_OF[watch.row.rule]))
+        return reasons
 
     def update(self, status: VehicleStatus, *, armed: bool) -> Sequence[Event]:
         """Evaluate all rows; events report failsafes raised and cleared."""

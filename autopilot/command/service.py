@@ -336,6 +336,7 @@ class Autopilot:
             origin=parts.plans.origin,
             home=parts.plans.home,
             prearm_reasons=commander.readiness,
+            arming_reasons=commander.arming_reasons,
             refusals=inputs.refusals,
             fenced=commander.fenced,
             failsafes=0 if decision is None else decision.failsafes,

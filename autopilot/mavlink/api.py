@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
 
+from autopilot.core.arming_reasons import ArmingReason
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, RunEnd, ThrusterCommand
@@ -118,6 +119,8 @@ class VehicleView:
     home: GeodeticPosition
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
+    arming_reasons: tuple[ArmingReason, ...] = ()
+    """The same for all modes; of an armed vehicle, what keeps it from its mission."""
     refusals: tuple[str, ...] = ()
     """Those from devices and disk, as reported to new clients."""
     failsafes: int

@@ -40,7 +40,7 @@ class BootIdentity:
         params, stubs = ParamSet(), stubs_of(self._profile)
         names = sorted((*params, *stubs))
         specs = [stubs[name].spec if name in stubs else params.spec(name) for name in names]
-        return make_metadata(specs, name=self._identity.name, version=self._identity.version)
+        return make_metadata(specs, self._profile, name=self._identity.name, version=self._identity.version)
 
     def answer(self, msg: Message) -> Sequence[Message]:
         """Answers to a request for data known already; empty for anything else."""

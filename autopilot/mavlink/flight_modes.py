@@ -90,6 +90,9 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
 PILOTED = frozenset(mode for mode, row in MODE_ROWS.items() if row.piloted)
 """Modes in which a pilot steers."""
 
+POSITIONLESS = PILOTED - {FlightMode.POSHOLD}
+"""Modes in which a pilot without a position may arm and steer."""
+
 MODE_BUTTONS: Mapping[int, FlightMode] = MappingProxyType(
     {row.button: mode for mode, row in MODE_ROWS.items() if row.button is not None}
 )

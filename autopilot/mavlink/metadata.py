@@ -1,4 +1,4 @@
-"""Component metadata: general.json and parameters.json, xz-compressed.
+"""Component metadata: general.json, parameters.json and events.json, xz-compressed.
 
 https://mavlink.io/en/services/component_metadata.html; the CRC is that of the file as it is downloaded. The files
 are made once, so that they stay equal to a ground station's cached copy.
@@ -14,14 +14,16 @@ from autopilot.core.crc import file_crc32
 from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import extra
+from autopilot.mavlink.event_metadata import events_json
+from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message
 
-GENERAL, PARAMETERS_FILE = "general.json.xz", "parameters.json.xz"
-_TYPE_PARAMETER = 1
-"""COMP_METADATA_TYPE_PARAMETER."""
+GENERAL, PARAMETERS_FILE, EVENTS_FILE = "general.json.xz", "parameters.json.xz", "events.json.xz"
+_TYPES = {PARAMETERS_FILE: 1, EVENTS_FILE: 4}
+"""COMP_METADATA_TYPE_PARAMETER and _EVENTS."""
 _VERSION = 1
-"""Of both formats."""
+"""Of the formats of general.json and parameters.json."""
 _DECIMALS = 4
 
 
@@ -36,19 +38,24 @@ class Metadata:
         return file_crc32(self.files[GENERAL])
 
 
-def make_metadata(specs: Iterable[ParamSpec], *, name: str, version: str) -> Metadata:
+def make_metadata(specs: Iterable[ParamSpec], profile: Profile, *, name: str, version: str) -> Metadata:
     """The files for these parameters of this vehicle."""
-    parameters = _packed({"version": _VERSION, "parameters": [parameter_json(spec) for spec in specs]})
-    place = {"type": _TYPE_PARAMETER, "uri": uri_of(PARAMETERS_FILE), "fileCrc": file_crc32(parameters)}
+    files = {
+        PARAMETERS_FILE: _packed({"version": _VERSION, "parameters": [parameter_json(spec) for spec in specs]}),
+        EVENTS_FILE: _packed(events_json(profile)),
+    }
     general = {
         "version": _VERSION,
         "vendorName": name,
         "modelName": name,
         "firmwareVersion": version,
         "hardwareVersion": "",
-        "metadataTypes": [place],
+        "metadataTypes": [
+            {"type": _TYPES[file], "uri": uri_of(file), "fileCrc": file_crc32(content)}
+            for file, content in files.items()
+        ],
     }
-    return Metadata(files={GENERAL: _packed(general), PARAMETERS_FILE: parameters})
+    return Metadata(files={GENERAL: _packed(general), **files})
 
 
 def uri_of(file: str) -> str:

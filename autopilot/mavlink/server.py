@@ -27,6 +27,7 @@ from autopilot.mavlink.api import (
     VehicleCommands,
     VehicleView,
 )
+from autopilot.mavlink.arming_events import ArmingEvents
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera_api import CameraOrders
@@ -36,6 +37,7 @@ from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Co
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
+from autopilot.mavlink.events import Events
 from autopilot.mavlink.external_poses import ExternalPoses
 from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
@@ -172,7 +174,7 @@ class MavlinkServer:
             budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
         self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
-        metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
+        metadata = make_metadata(self.parameters.specs, ctx.profile, name=identity.name, version=identity.version)
         self._files = FileTransfer(
             ctx,
             metadata.files,
@@ -194,6 +196,8 @@ class MavlinkServer:
         self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
         self._progress = ProgressMessages(ctx, self.missions)
         self._flight = FlightInformation(ctx)
+        self._events = Events(ctx)
+        self._arming = ArmingEvents(ctx, self._events)
         builders: dict[int, Builder] = {}
         self._streams = Streams(ctx, builders)
         self._high_latency = HighLatency(ctx, self._streams, self._status, self._telemetry, self._progress)
@@ -209,11 +213,11 @@ class MavlinkServer:
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
                 mav.MAVLINK_MSG_ID_TIMESYNC: self.utility.timesync,
-                extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self.utility.event_sequence,
+                extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self._events.current_sequence,
                 STATUS_ID: self._operators.status,
             }
         )
-        self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
+        self._vehicle = VehicleService(ctx, self._telemetry, self._progress, self._arming.report)
         requests = Requests(ctx, self._streams)
         # A request for control has its own check, also while another station is the owner.
         control = {
@@ -269,7 +273,8 @@ class MavlinkServer:
         """Work of a tick after the events have been reported."""
         shown = (self._announcements.place, self._sensors.tick, self._outputs.tick, self._flight.tick)
         camera = () if self._camera is None else (self._camera.tick,)
-        return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera))
+        events = (self._arming.tick, self._events.tick)
+        return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera, *events))
 
     def _works_at_last(self, *turns: Callable[[], None]) -> tuple[Work, ...]:
         """Work at the end of a tick; ``turns``: round-robin order in using the link budgets."""
@@ -307,7 +312,7 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._progress.on_set_current,
             mav.MAVLINK_MSG_ID_PING: utility.on_ping,
             mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
-            extra.MAVLINK_MSG_ID_REQUEST_EVENT: utility.on_request_event,
+            extra.MAVLINK_MSG_ID_REQUEST_EVENT: self._events.on_request,
             mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
             mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._files.on_message,
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: self._logs.on_request_list,
@@ -380,6 +385,7 @@ class MavlinkServer:
             or self.parameters.listing
             or self._streams.fast
             or self._files.sending
+            or self._events.sending
             or self._logs.sending
         )
 

@@ -49,6 +49,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_BATTERY_STATUS: 2 * _S,
         mav.MAVLINK_MSG_ID_HOME_POSITION: 2 * _S,
         mav.MAVLINK_MSG_ID_CURRENT_MODE: 2 * _S,
+        extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: 2 * _S,
         mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: 5 * _S,
         mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 10 * _S,
         mav.MAVLINK_MSG_ID_TIMESYNC: 10 * _S,

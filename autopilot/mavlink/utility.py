@@ -1,7 +1,7 @@
-"""PING, TIMESYNC, SYSTEM_TIME, and an empty event interface."""
+"""PING, TIMESYNC, SYSTEM_TIME."""
 
 from autopilot.mavlink.context import Context, MavlinkPeer
-from autopilot.mavlink.dialect import extra, mav
+from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.wire import Message
 
 
@@ -30,18 +30,6 @@ class Utility:
     def _now_ns(self) -> int:
         """The service's time as TIMESYNC carries it (int64)."""
         return min(self._ctx.t_us * 1000, (1 << 63) - 1)
-
-    def on_request_event(self, peer: MavlinkPeer, msg: Message) -> None:
-        """REQUEST_EVENT: notices go by STATUSTEXT, there are no events to resend."""
-        unavailable = extra.MAV_EVENT_ERROR_REASON_UNAVAILABLE
-        self._ctx.send(
-            peer,
-            extra.MAVLink_response_event_error_message(peer.sysid, peer.compid, msg.first_sequence, 0, unavailable),
-        )
-
-    def event_sequence(self) -> Message | None:
-        """CURRENT_EVENT_SEQUENCE on request: none so far."""
-        return extra.MAVLink_current_event_sequence_message(0, 0)
 
     def on_system_time(self, msg: Message) -> None:
         """SYSTEM_TIME of a ground station: kept for boards without a clock."""

@@ -1,7 +1,7 @@
 """Vehicle commands: arm, modes, mission, go-to, speed, home, origin."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -51,10 +51,18 @@ INT_ONLY = CommandReply(result=CommandResult.COMMAND_INT_ONLY, reason="send COMM
 class VehicleService:
     """Translates commands into requests to the vehicle."""
 
-    def __init__(self, ctx: Context, telemetry: NavigationMessages, progress: ProgressMessages) -> None:
+    def __init__(
+        self,
+        ctx: Context,
+        telemetry: NavigationMessages,
+        progress: ProgressMessages,
+        report_arming: Callable[[], None],
+    ) -> None:
         self._ctx = ctx
         self._telemetry = telemetry
         self._progress = progress
+        self._report_arming = report_arming
+        """Sends the arming checks as events."""
 
     def table(self) -> Mapping[int, CommandRow]:
 
@@ -148,8 +156,9 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def run_prearm_checks(self, call: Call) -> Reply:
-        """RUN_PREARM_CHECKS: results as text; of an armed vehicle only problems of its plans."""
+        """RUN_PREARM_CHECKS: results as text and events; of an armed vehicle only problems of its plans."""
         view = self._ctx.view
+        self._report_arming()
         self._ctx.begin_anew()  # a request is answered, however lately the text was sent
         if view.prearm_reasons:
             for reason in view.prearm_reasons:

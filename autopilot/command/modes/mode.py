@@ -11,6 +11,7 @@ from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, Sticks
+from autopilot.mavlink.flight_modes import POSITIONLESS
 from autopilot.mission.goals import Goals
 from autopilot.mission.items import Order
 from autopilot.mission.store import Plans
@@ -60,8 +61,6 @@ class FlightModeBehaviour:
     """One flight mode; one instance per vehicle. The base class holds position; subclasses override."""
 
     name: ClassVar[FlightMode]
-    needs_position: ClassVar[bool] = True
-    """False: a pilot without a position may arm and steer in it."""
     steered: ClassVar[bool] = False
     """Piloted: entering or leaving it changes the goal at once."""
     changes_depth: ClassVar[bool] = True
@@ -74,6 +73,10 @@ class FlightModeBehaviour:
         self._goals = tools.goals
         self._mission = tools.mission
         self._operator = tools.operator
+
+    @property
+    def needs_position(self) -> bool:
+        return self.name not in POSITIONLESS
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Why it cannot be entered, None if it can. ``status`` is None before the first tick."""

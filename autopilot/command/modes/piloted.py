@@ -183,21 +183,20 @@ class ManualMode(PilotedMode):
     """Sticks are forces and moments, without feedback."""
 
     name = FlightMode.MANUAL
-    needs_position = holds_heading = holds_depth = False
+    holds_heading = holds_depth = False
 
 
 class StabilizeMode(PilotedMode):
     """Manual with heading hold."""
 
     name = FlightMode.STABILIZE
-    needs_position = holds_depth = False
+    holds_depth = False
 
 
 class DepthHoldMode(PilotedMode):
     """As stabilize, depth held: without a position by the pressure sensor."""
 
     name = FlightMode.ALT_HOLD
-    needs_position = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Refused while there is neither an estimate nor a depth."""
