@@ -9,7 +9,7 @@ from autopilot.core.messages import Failsafe
 
 
 class HealthComponent(IntEnum):
-    """A part of the vehicle. The value is its bit in bit sets of the MAVLink events interface, where 0 has to be none."""
+    """A part of the vehicle: its bit in bit sets of the MAVLink events interface, where 0 has to be none."""
 
     NONE = 0
     SERVICE = 1

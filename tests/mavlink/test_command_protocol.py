@@ -143,15 +143,6 @@ def test_calibration_says_where_it_is_done() -> None:
     assert client.ask(nothing, "COMMAND_ACK", 0.1)[-1].result == mav.MAV_RESULT_ACCEPTED
 
 
-def test_events_that_never_were_are_not_waited_for() -> None:
-    client = World().client()
-    (error,) = client.ask(extra.MAVLink_request_event_message(1, 1, 5, 9), "RESPONSE_EVENT_ERROR", 0.1)
-    assert (error.sequence, error.sequence_oldest_available, error.reason) == (5, 0, 0)
-    wanted = float(extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE)
-    ask = mav.MAVLink_command_long_message(1, 1, 512, 0, wanted, *(0.0,) * 6)
-    assert client.ask(ask, "CURRENT_EVENT_SEQUENCE", 0.1)[0].sequence == 0
-
-
 @pytest.mark.parametrize("result", [CommandResult.ACCEPTED, CommandResult.FAILED])
 @pytest.mark.parametrize("ticks", [5, 60, 250])
 def test_a_disarming_is_answered_when_it_has_happened(ticks: int, result: CommandResult) -> None:

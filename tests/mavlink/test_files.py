@@ -145,8 +145,8 @@ def test_a_ground_station_learns_names_units_ranges_and_choices(profile: str) ->
 
     general = fetched(found.uri, found.file_crc)
     assert general["version"] == 1
-    (place,) = general["metadataTypes"]
-    assert place["type"] == 1
+    place, events = general["metadataTypes"]
+    assert (place["type"], events["type"]) == (1, 4) and fetched(events["uri"], events["fileCrc"])["version"] == 2
     told = {entry["name"]: entry for entry in fetched(place["uri"], place["fileCrc"])["parameters"]}
     listed = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 2.0)
     assert {m.param_id for m in listed} == set(told)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import queue
 import random
 import threading
 import time
@@ -15,6 +16,7 @@ import pytest
 from mavlink_harness import World
 from mavsdk.plugins.action import Action, ActionError
 from mavsdk.plugins.component_metadata import ComponentMetadata, MetadataType
+from mavsdk.plugins.events import Events
 from mavsdk.plugins.ftp import Ftp, FtpError
 from mavsdk.plugins.log_files import LogFiles
 from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError
@@ -22,6 +24,7 @@ from mavsdk.plugins.param import Param, ParamError
 from mavsdk.plugins.telemetry import Telemetry
 from mavsdk_link import found
 
+from autopilot.core.arming_reasons import ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
@@ -158,6 +161,26 @@ def test_the_usual_wait_for_a_vehicle_that_is_ready_ends(link: tuple[World, Any]
     telemetry.subscribe_health(lambda health, _: None if health.is_global_position_ok else lost.set())
     world.show(nav=None)
     assert lost.wait(120.0)
+
+
+def test_why_arming_is_denied_is_a_report(link: tuple[World, Any]) -> None:
+    world, system = link
+    modes = ModeGroup.POSITION | ModeGroup.MISSION
+    blind = ArmingReason("no position yet: markers must be in view", HealthComponent.POSITION, modes)
+    world.show(arming_reasons=(blind,))
+    reports: queue.Queue[Any] = queue.Queue()
+    events = Events(system)
+    events.subscribe_health_and_arming_checks(lambda report, _: reports.put(report))
+    report = reports.get(timeout=240.0)
+    mode = report.current_mode_intention
+    assert (mode.mode_name, mode.can_arm_or_run) == ("Hold", False)
+    (problem,) = mode.problems
+    assert (problem.message, problem.health_component) == (blind.text, "position")
+    assert {part.name for part in report.health_components if part.has_error} == {"position"}
+    world.show(arming_reasons=())
+    while not reports.get(timeout=240.0).current_mode_intention.can_arm_or_run:
+        pass
+    assert not events.get_health_and_arming_checks_report().all_problems
 
 
 def test_logs_and_metadata_come_whole(tmp_path: Path) -> None:
