@@ -1,15 +1,13 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
-Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst is
-limited to a number of packets per tick: few at first, twice as many with every burst that has arrived whole, half as
-many while the loop is busy, few again when the client asks for a part again, and while the vehicle is armed: its
-control comes first. It pauses while the link's budget is used up, and ends until the client requests more, so that a
-client that has left is not sent a whole log.
+Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst has
+a pace (:mod:`autopilot.mavlink.pace`). It pauses while the link's budget is used up, and ends until the client requests
+more, so that a client that has left is not sent a whole log.
 """
 
 import struct
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Protocol
 
@@ -22,15 +20,9 @@ from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
+from autopilot.mavlink.pace import Pace
 from autopilot.mavlink.wire import Message, RawMessage
 
-FIRST_PACE, MOST_PACE = 16, 112
-"""Packets of a burst per tick and client: 380 kB/s to 2.7 MB/s, at about 40 us of a tick each, half of that in the
-socket."""
-BUSY = 0.6
-"""Load of the loop above which a burst gets fewer packets per tick."""
-LOAD_US = 1_000_000
-"""Time in which the load shows what a change of pace costs."""
 BURST_PACKETS, BURST_TICKS = 256, 8
 """Packets per burst (60 kB), but at least so many ticks of them; the client requests the next one."""
 MAX_CLIENTS = 16
@@ -147,10 +139,7 @@ class _FtpClient:
     burst_left: int = 0
     burst_request_seq: int = 0
     """The number of its request."""
-    pace: int = FIRST_PACE
-    """Packets per tick."""
-    eased_us: int | None = None
-    """When it was lowered for the load last."""
+    pace: Pace = field(default_factory=Pace)
     arrived: int | None = None
     """Where the last burst ended, and the next one begins if it has arrived; None = it was held up by the link."""
     sent_tick: int = 0
@@ -273,26 +262,18 @@ class FileTransfer:
         elif request.offset >= client.file.size:
             self._nak(peer, client, request, Error.EOF)
         elif request.opcode == Op.READ:
-            client.waiting, client.pace = request, FIRST_PACE
+            client.waiting = request
+            client.pace.start()
             self._go_on(peer, client, request)
         else:
-            client.pace = self._pace(client, request.offset)
+            if client.arrived == request.offset:
+                client.pace.go_on(self._load(), self._ctx.t_us)
+            else:
+                client.pace.start()
             client.burst, client.arrived = replace(request, seq=request.seq + 1), request.offset
-            client.burst_left = max(BURST_PACKETS, BURST_TICKS * client.pace)
+            client.burst_left = max(BURST_PACKETS, BURST_TICKS * client.pace.packets)
             client.burst_request_seq, client.answered = request.seq, None
             self._go_on_burst(peer, client)
-
-    def _pace(self, client: _FtpClient, offset: int) -> int:
-        """Packets per tick of the burst that begins at ``offset``."""
-        load, now_us = self._load(), self._ctx.t_us
-        if client.arrived != offset or load >= 1.0:
-            return FIRST_PACE
-        if client.eased_us is not None and now_us - client.eased_us < LOAD_US:
-            return client.pace
-        if load <= BUSY:
-            return min(2 * client.pace, MOST_PACE)
-        client.eased_us = now_us
-        return max(client.pace // 2, FIRST_PACE)
 
     def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         """Serve a request that waits for the disk."""
@@ -336,7 +317,7 @@ class FileTransfer:
     def _go_on_burst(self, peer: MavlinkPeer, client: _FtpClient) -> None:
         if client.sent_tick != self._tick:
             client.sent_tick, client.sent = self._tick, 0
-        while client.sent < client.pace:
+        while client.sent < client.pace.packets:
             burst, file = client.burst, client.file
             if burst is None or file is None:
                 return

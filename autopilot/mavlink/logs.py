@@ -1,10 +1,13 @@
 """Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_ERASE, LOG_REQUEST_END of common.xml.
 
 Logs are numbered as in the last list sent to the client (from 1 under the ArduPilot profile, else from 0, as ground
-stations expect). Times and sizes are those of the files. One request per client is served at a time.
+stations expect). Times and sizes are those of the files. One request per client is served at a time, at the pace of
+:mod:`autopilot.mavlink.pace`.
 """
 
-from dataclasses import dataclass
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.background import BackgroundTask
@@ -15,12 +18,16 @@ from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import OpenFile
-from autopilot.mavlink.wire import Message
+from autopilot.mavlink.pace import Pace
+from autopilot.mavlink.wire import Message, RawMessage
 
 DATA_BYTES = 90
 """LOG_DATA.data."""
-PACKETS_PER_TICK = 32
-"""Of a log, per client: 280 kB/s."""
+_LOG_DATA = struct.Struct(f"<IHB{DATA_BYTES}s")
+"""Offset, number, count, data as on the wire."""
+_CRC_EXTRA = mav.MAVLink_log_data_message.crc_extra
+PART_TICKS = 8
+"""The pace is reviewed after so many ticks of a request."""
 ENTRIES_PER_TICK = 4
 MAX_CLIENTS = 16
 """Clients whose lists are kept; beyond that the oldest is dropped."""
@@ -39,6 +46,11 @@ class _LogClient:
     wanted: tuple[int, int, int] | None = None
     """Number, offset and bytes of the data that are still to be sent."""
     file: OpenFile | None = None
+    pace: Pace = field(default_factory=Pace)
+    sent_ticks: int = 0
+    """Ticks of the request at its pace."""
+    end: tuple[int, int] | None = None
+    """Number and offset at which the last request was served whole, and the next one begins if all has arrived."""
 
     def stop(self) -> None:
         self.entries, self.wanted = range(0), None
@@ -51,8 +63,11 @@ class _LogClient:
 
 
 class LogDownload:
-    def __init__(self, ctx: Context, log_directory: LogDirectory | None) -> None:
-        self._ctx, self._log_directory = ctx, log_directory
+    def __init__(
+        self, ctx: Context, log_directory: LogDirectory | None, load: Callable[[], float] = lambda: 1.0
+    ) -> None:
+        """``load``: of the loop, 0 to 1 (no time to spare)."""
+        self._ctx, self._log_directory, self._load = ctx, log_directory, load
         self._first = 1 if ctx.profile.home_is_item_0 else 0
         self._clients: LatestUsed[MavlinkPeer, _LogClient] = LatestUsed(MAX_CLIENTS, _LogClient.stop)
         self._erasing: tuple[MavlinkPeer, BackgroundTask[int]] | None = None
@@ -73,7 +88,11 @@ class LogDownload:
         if client.file is not None and client.wanted is not None and client.wanted[0] != msg.id:
             client.file.close()
             client.file = None
-        client.wanted = (msg.id, msg.ofs, msg.count)
+        if client.end == (msg.id, msg.ofs):
+            client.pace.go_on(self._load(), self._ctx.t_us)
+        else:
+            client.pace.start()
+        client.wanted, client.end, client.sent_ticks = (msg.id, msg.ofs, msg.count), None, 0
         if client.logs is None and client.listing is None and self._log_directory is not None:
             client.listing = self._log_directory.list(self._tick)  # numbers from before a restart, or of another link
 
@@ -141,7 +160,10 @@ class LogDownload:
 
     def _send_data(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[LogDirectoryEntry, ...]) -> None:
         ctx = self._ctx
-        for _ in range(PACKETS_PER_TICK):
+        client.sent_ticks += 1
+        if client.sent_ticks % PART_TICKS == 0:
+            client.pace.ease(self._load(), ctx.t_us)
+        for _ in range(client.pace.packets):
             if client.wanted is None or not ctx.has_capacity(peer.link, FILES):
                 return
             number, offset, count = client.wanted
@@ -157,9 +179,12 @@ class LogDownload:
                 client.wanted = client.file = None
                 ctx.say(notices.LOG_UNREADABLE(number=number), peer)
                 return
-            ctx.send(peer, mav.MAVLink_log_data_message(number, offset, len(data), list(data.ljust(DATA_BYTES, b"\0"))))
-            left = count - len(data)
-            client.wanted = (number, offset + len(data), left) if left > 0 and len(data) == DATA_BYTES else None
+            payload = _LOG_DATA.pack(offset, number, len(data), data)
+            ctx.send(peer, RawMessage(mav.MAVLINK_MSG_ID_LOG_DATA, _CRC_EXTRA, payload))
+            left, end = count - len(data), offset + len(data)
+            goes_on = left > 0 and len(data) == DATA_BYTES
+            client.wanted = (number, end, left) if goes_on else None
+            client.end = None if goes_on else (number, end)
 
     def _file(self, client: _LogClient, logs: tuple[LogDirectoryEntry, ...], number: int) -> OpenFile | None:
         """The log that a client reads, kept open between its requests."""

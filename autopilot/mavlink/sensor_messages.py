@@ -2,7 +2,7 @@
 
 GPS_RAW_INT is such a substitute: there is no satellite navigation under water. It carries the estimate, so that
 clients that wait for a "3D fix" proceed: fix type 3 with a good estimate, 2 with dead reckoning, 1 without;
-satellites_visible 255 = unknown.
+satellites and their dilution are unknown (QGroundControl shows "Count 0"), h_acc and v_acc are the estimate's.
 """
 
 import math
@@ -29,7 +29,7 @@ WAYPOINTS = 5
 
 _ACCEL_AND_GYRO = 0b111111
 """HIGHRES_IMU.fields_updated."""
-_NO_SATELLITES_COUNTED = 255
+_NO_SATELLITES_COUNTED, _UNKNOWN_DILUTION = 0xFF, 0xFFFF
 _COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Places of x, y, z, roll, pitch, yaw in the upper triangle of a 6 x 6 matrix."""
 _CAGE = 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD
@@ -195,8 +195,8 @@ class SensorMessages:
             i32(here.lat_deg * 1e7),
             i32(here.lon_deg * 1e7),
             i32(here.alt_m * 1e3),
-            u16(100.0 * across_m),
-            u16(100.0 * deep_m),
+            _UNKNOWN_DILUTION,
+            _UNKNOWN_DILUTION,
             u16(100.0 * math.hypot(m.vn, m.ve)),
             limited(100.0 * course_deg, 0, 35_999),
             _NO_SATELLITES_COUNTED,

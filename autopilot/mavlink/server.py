@@ -175,14 +175,13 @@ class MavlinkServer:
         )
         self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
         metadata = make_metadata(self.parameters.specs, ctx.profile, name=identity.name, version=identity.version)
-        self._files = FileTransfer(
-            ctx,
-            metadata.files,
-            log_directory,
-            self.parameters.packed_file,
-            load=lambda: 1.0 if ctx.view.armed else ctx.view.cpu_load,
-        )
-        self._logs = LogDownload(ctx, log_directory)
+
+        def load() -> float:
+            """Of the loop, as file transfers see it."""
+            return 1.0 if ctx.view.armed else ctx.view.cpu_load
+
+        self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file, load)
+        self._logs = LogDownload(ctx, log_directory, load)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)

@@ -25,8 +25,16 @@ ACCELERATION = 0b111 << 6
 YAW, YAW_RATE = 1 << 10, 1 << 11
 """Bits of POSITION_TARGET_TYPEMASK: set = ignore."""
 
-ATTITUDE_YAW_RATE, ATTITUDE_THRUST, ATTITUDE = 1 << 2, 1 << 6, 1 << 7
+ATTITUDE_ROLL_RATE, ATTITUDE_PITCH_RATE, ATTITUDE_YAW_RATE, ATTITUDE_THRUST, ATTITUDE = (
+    1,
+    1 << 1,
+    1 << 2,
+    1 << 6,
+    1 << 7,
+)
 """Bits of ATTITUDE_TARGET_TYPEMASK."""
+MOST_TILT_RAD, MOST_TILT_RATE_RAD_S = 0.1, 0.1
+"""Of SET_ATTITUDE_TARGET: clients that send their own attitude back are a little off level; more is meant."""
 
 _OFFSET = frozenset((mav.MAV_FRAME_LOCAL_OFFSET_NED, mav.MAV_FRAME_BODY_NED, mav.MAV_FRAME_BODY_OFFSET_NED, 12))
 _BODY = frozenset((mav.MAV_FRAME_BODY_NED, mav.MAV_FRAME_BODY_OFFSET_NED, 12))
@@ -196,9 +204,14 @@ class SetPoints:
             quat = _finite(tuple(msg.q), "attitude", most=math.inf)
             if math.hypot(*quat) < 0.5:
                 raise _NotFollowedError("attitude is no quaternion, mask it out")
-            yaw_rad = float(rpy_from_quat([each / math.hypot(*quat) for each in quat])[2])
+            roll, pitch, yaw_rad = map(float, rpy_from_quat([each / math.hypot(*quat) for each in quat]))
+            if max(abs(roll), abs(pitch)) > MOST_TILT_RAD:
+                raise _NotFollowedError("roll and pitch cannot be set, send yaw and thrust")
         elif not mask & ATTITUDE_YAW_RATE:
             (rate,) = _finite((msg.body_yaw_rate,), "yaw rate")
+        rates = (ATTITUDE_ROLL_RATE, msg.body_roll_rate), (ATTITUDE_PITCH_RATE, msg.body_pitch_rate)
+        if any(not mask & ignored and not abs(each) <= MOST_TILT_RATE_RAD_S for ignored, each in rates):
+            raise _NotFollowedError("roll and pitch rates cannot be set, send yaw and thrust")
         if not depth_given:
             (thrust,) = _finite((msg.thrust,), "thrust")
             up = min(max(2.0 * (thrust - NEUTRAL_THRUST), -1.0), 1.0)

@@ -308,8 +308,9 @@ def test_logs_arrive_whole_by_log_messages(folder: Path, profile: str, first: in
     client.send(mav.MAVLink_log_request_end_message(1, 1))
 
 
-def test_lists_have_an_end_and_no_logs_are_said() -> None:
-    world = World()
+@pytest.mark.parametrize("folder_there", [True, False])
+def test_before_the_first_flight_the_list_is_one_entry_of_no_logs(tmp_path: Path, folder_there: bool) -> None:
+    world = world_with(tmp_path / "logs") if folder_there else World()
     (none,) = world.client().ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
     assert (none.id, none.num_logs, none.size) == (0, 0, 0)
 
@@ -374,6 +375,43 @@ def test_a_burst_grows_with_what_arrives_and_leaves_the_ticks_of_an_armed_vehicl
     world.view = replace(world.view, cpu_load=0.3)
     at, most, wrong = read(0, 10)
     assert most == 16, "from another place: what it has been sent has not all arrived"
+
+
+def test_log_data_grow_with_what_arrives_and_leave_the_ticks_of_an_armed_vehicle(folder: Path) -> None:
+    sent = a_log(folder, "2026-11-22/10_00_00.mcap", 900_000)
+    world = world_with(folder)
+    world.view = replace(world.view, armed=False, cpu_load=0.3)
+    client = world.client()
+
+    def read(start: int, ticks: int, chunk: int) -> tuple[int, int]:
+        """Where a client is that asks for the next chunk when it has one, and the most packets of a tick."""
+        at, end, most = start, start, 0
+        client.rx.clear()
+        for _ in range(ticks):
+            if at == end:
+                end = min(end + chunk, len(sent))
+                client.send(mav.MAVLink_log_request_data_message(1, 1, 0, at, end - at))
+            world.tick()
+            came = client.got("LOG_DATA")
+            client.rx.clear()
+            most = max(most, len(came))
+            for message in came:
+                assert message.ofs == at and bytes(message.data)[: message.count] == sent[at : at + message.count]
+                at += message.count
+        return at, most
+
+    at, most = read(0, 80, 512 * 90)
+    assert most == 112 and at > 300_000, (at, most)
+    world.view = replace(world.view, armed=True)
+    at, most = read(at, 20, len(sent))
+    assert most == 16
+    world.view = replace(world.view, armed=False)
+    at, most = read(at - at % 90, 10, 512 * 90)
+    assert most == 16, "asked again: it has not all arrived"
+    _, most = read(0, 60, 512 * 90)
+    assert most == 112
+    world.view = replace(world.view, cpu_load=0.9)
+    assert read(0, 100, 512 * 90)[1] == 16, "the loop is busy"
 
 
 def test_all_parameters_come_in_one_file_where_clients_of_ardupilot_ask_for_it(folder: Path) -> None:

@@ -74,7 +74,9 @@ def test_an_odometry_is_the_estimate(world: World) -> None:
 
 
 def test_a_fix_stands_for_the_estimate(world: World) -> None:
-    assert request(world, "GPS_RAW_INT").fix_type == 3
+    fix = request(world, "GPS_RAW_INT")
+    assert (fix.fix_type, fix.satellites_visible, fix.eph, fix.epv) == (3, 255, 0xFFFF, 0xFFFF)
+    assert (fix.h_acc, fix.v_acc) == (14, 10), "1 cm each way [mm]"
     world.show(nav=nav_state(health=NavHealth.DEAD_RECKONING))
     assert request(world, "GPS_RAW_INT").fix_type == 2
     for nav in (None, nav_state(health=NavHealth.INVALID), nav_state(pos_ned_m=np.array([NAN, 0, 0]))):

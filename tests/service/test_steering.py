@@ -2,6 +2,7 @@
 
 import math
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -293,13 +294,16 @@ def test_body_velocity_with_a_yaw_rate_and_heading_with_vertical_thrust() -> Non
     assert world.x[7] == pytest.approx(0.4, abs=0.05)
     assert world.x[4] == pytest.approx(0.1, abs=0.04)
     depth = world.x[2]
-    half = 0.25 * math.pi
-    attitude = mav.MAVLink_set_attitude_target_message(
-        0, 1, 1, 7, [math.cos(half), 0.0, 0.0, math.sin(half)], 0.0, 0.0, 0.0, 0.2
-    )
-    world.stream(4.0, attitude)
+    world.stream(4.0, attitude(yaw=0.5 * math.pi, thrust=0.2))
     assert world.x[2] > depth + 0.1
     assert abs(math.remainder(world.x[3] - 0.5 * math.pi, 2 * math.pi)) < 0.15
+
+
+def attitude(*, roll: float = 0.0, yaw: float = 0.0, thrust: float = 0.5, mask: int = 7, roll_rate: float = 0.0) -> Any:
+    """SET_ATTITUDE_TARGET: a heading or a roll."""
+    turn, axis = 0.5 * (roll or yaw), (1.0, 0.0) if roll else (0.0, 1.0)
+    quat = [math.cos(turn), axis[0] * math.sin(turn), 0.0, axis[1] * math.sin(turn)]
+    return mav.MAVLink_set_attitude_target_message(0, 1, 1, mask, quat, roll_rate, 0.0, 0.0, thrust)
 
 
 REFUSED = (
@@ -312,6 +316,9 @@ REFUSED = (
     (velocity(math.nan, 0, 0), "no usable number"),
     (velocity(80.0, 0, 0), "no usable number"),
     (mav.MAVLink_set_actuator_control_target_message(0, 0, 1, 1, [0.0] * 8), "no actuator control"),
+    (attitude(roll=0.3), "roll and pitch cannot be set"),
+    (attitude(mask=128, roll_rate=0.3), "roll and pitch rates cannot be set"),
+    (attitude(mask=0xFF), "nothing to do"),
 )
 
 
