@@ -78,7 +78,7 @@ class ArmingEvents:
         emit = self._events.emit
         emit(ARMING_CHECK_SUMMARY, PROTOCOL, ARMING_CHECK_LAYOUT.pack(_CHUNK, wrong, 0, able, able))
         for reason in reasons:
-            for text in spelled(reason.text, TEXT_CODES, LINES):
+            for text in spelled(self._ctx.numbered(reason.text), TEXT_CODES, LINES):
                 emit(ARMING_REASON, Severity.ERROR, REASON_LAYOUT.pack(reason.modes, reason.component, text))
         emit(HEALTH_SUMMARY, PROTOCOL, HEALTH_LAYOUT.pack(_CHUNK, present, failing, 0))
 

@@ -213,9 +213,7 @@ class Context:
         """The same for an event of another part."""
         if severity >= Severity.DEBUG:
             return
-        # Where home is item 0, the wire's numbers are those that ground stations show.
-        shift, ahead = 0 if on_wire else self.wire_shift, 0 if self.profile.home_is_item_0 else 1
-        text = counted(text, shift=shift, ahead=ahead)
+        text = self.numbered(text, on_wire=on_wire)
         urgent = severity <= Severity.CRITICAL
         everywhere = [link for link in self.links if urgent or link not in self.quiet]
         receivers: Iterable[Receiver] = everywhere if to is None else (to,)
@@ -223,6 +221,11 @@ class Context:
         for message in self._chunks(max(severity, 0), text) if news else ():
             for receiver in news:
                 self.send(receiver, message)
+
+    def numbered(self, text: str, *, on_wire: bool = False) -> str:
+        """A text with the item numbers of ground stations: where home is item 0, those of the wire."""
+        shift, ahead = 0 if on_wire else self.wire_shift, 0 if self.profile.home_is_item_0 else 1
+        return counted(text, shift=shift, ahead=ahead)
 
     def _is_news(self, to: Receiver, text: str) -> bool:
         """Whether a receiver has not received this text lately, alone or with its whole link; marks it as sent."""

@@ -6,7 +6,8 @@ import random
 from typing import Any
 
 import pytest
-from event_client import EventMetadata, EventReader, Report
+from event_client import EventReader
+from event_reports import EventMetadata, Report
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_harness import Lossy, World, mav
