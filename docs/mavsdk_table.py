@@ -2,7 +2,8 @@
 
 The table stands in ``docs/mavlink.md`` between ``mavsdk:begin`` and ``mavsdk:end``; without ``--write`` it is printed.
 ``--only NAME`` tries single plugins. A call has :data:`PATIENCE_S` of the vehicle's time; what has not come by then
-is "hangs", a stream that has brought nothing is "silent".
+is "hangs", a stream that has brought nothing is "silent". Where telemetry, a download or a file shows what a call does,
+that is waited for: "no effect" if it does not come.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mavsdk
@@ -24,10 +26,14 @@ import mavsdk.plugins
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "mavlink.md"
 BEGIN, END = "<!-- mavsdk:begin -->\n", "<!-- mavsdk:end -->"
+HEAD = ("| plugin | works | does not |", "| --- | --- | --- |")
 PATIENCE_S = 40.0
 STREAMS_S = 15.0
+EFFECT_S = 20.0
 NAN = math.nan
 LAT, LON = 37.9755, 23.7790
+CAMERA = 100
+"""Component id."""
 
 Probe = tuple[str, Callable[[], Any]]
 
@@ -37,6 +43,12 @@ def plugin_names() -> list[str]:
     folder = Path(mavsdk.plugins.__file__ or "").parent
     names = sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists())
     return [name for name in names if "server" not in name]
+
+
+class NoEffectError(Exception):
+    """An acknowledged call that did nothing."""
+
+    result = SimpleNamespace(name="no effect")
 
 
 class PluginRow:
@@ -68,6 +80,24 @@ class Bench:
     def ready(self) -> bool:
         """Whether MAVSDK takes the vehicle for one that is."""
         return bool(self._telemetry.health_all_ok())
+
+    def in_mode(self, name: str) -> Callable[[], bool]:
+        return lambda: self._telemetry.flight_mode().name == name
+
+    def near(self, north_m: float, east_m: float) -> Callable[[], bool]:
+        def arrived() -> bool:
+            at = self._telemetry.position_velocity_ned().position
+            return math.hypot(at.north_m - north_m, at.east_m - east_m) < 0.3
+
+        return arrived
+
+    def moves(self) -> bool:
+        speed = self._telemetry.velocity_ned()
+        return math.hypot(speed.north_m_s, speed.east_m_s) > 0.04
+
+    def outputs(self) -> list[float]:
+        """Pulses; of a disarmed vehicle only those of its equipment change."""
+        return list(self._telemetry.actuator_output_status().actuator)
 
     def plugin(self, name: str) -> Any:
         module = import_module(f"mavsdk.plugins.{name}")
@@ -120,6 +150,31 @@ class Bench:
                 row.refuse("silent", label)
 
 
+def seen(call: Callable[[], Any], effect: Callable[[], bool]) -> Callable[[], Any]:
+    """A call, and what is to be seen of it."""
+
+    def run() -> Any:
+        value = call()
+        end_s = time.monotonic() + EFFECT_S
+        while not effect():
+            if time.monotonic() > end_s:
+                raise NoEffectError
+            time.sleep(0.1)
+        return value
+
+    return run
+
+
+def changing(call: Callable[[], Any], read: Callable[[], Any]) -> Callable[[], Any]:
+    """A call that changes what is read."""
+
+    def run() -> Any:
+        before = read()
+        return seen(call, lambda: read() != before)()
+
+    return run
+
+
 def started(begin: Callable[[Callable[..., None]], Any]) -> Callable[[], Any]:
     """A call whose outcome comes by a callback: the last result."""
 
@@ -157,29 +212,38 @@ def _raw_items(kind: int = 0) -> list[Any]:
 
 
 def _action(bench: Bench) -> Any:
-    a = bench.plugin("action")
+    a, t, relay = bench.plugin("action"), bench.plugin("telemetry"), import_module("mavsdk.plugins.action").RelayCommand
     here = (LAT, LON, -0.5)
+
+    def disarmed() -> bool:
+        return not t.armed()
+
+    def origin() -> bool:
+        found = t.get_gps_global_origin()
+        return math.hypot(found.latitude_deg - LAT, found.longitude_deg - LON) < 1e-6
+
     return [
-        *_calls(a, "arm"),
-        ("takeoff", a.takeoff),
-        ("hold", a.hold),
-        ("goto_location", lambda: a.goto_location(*here, 0.0)),
-        ("do_orbit", lambda: a.do_orbit(0.5, 0.1, 0, *here)),
+        ("arm", seen(a.arm, t.armed)),
+        ("takeoff", seen(a.takeoff, t.in_air)),
+        ("hold", seen(a.hold, bench.in_mode("HOLD"))),
+        ("goto_location", seen(lambda: a.goto_location(*here, 0.0), bench.near(0.0, 0.0))),
+        ("do_orbit", seen(lambda: a.do_orbit(0.5, 0.1, 0, *here), bench.moves)),
         ("set_current_speed", lambda: a.set_current_speed(0.2)),
-        ("return_to_launch", a.return_to_launch),
+        ("return_to_launch", seen(a.return_to_launch, bench.in_mode("RETURN_TO_LAUNCH"))),
         ("reboot while armed", a.reboot),
         ("shutdown while armed", a.shutdown),
-        ("land", a.land),
-        ("kill", a.kill),
-        ("arm_force", a.arm_force),
-        ("terminate", a.terminate),
-        ("disarm", a.disarm),
+        ("land", seen(a.land, bench.in_mode("LAND"))),
+        ("kill", seen(a.kill, disarmed)),
+        ("arm_force", seen(a.arm_force, t.armed)),
+        ("terminate", seen(a.terminate, disarmed)),
+        ("(arm)", seen(a.arm, t.armed)),
+        ("disarm", seen(a.disarm, disarmed)),
         ("set_takeoff_altitude", lambda: a.set_takeoff_altitude(-0.4)),
         ("get_takeoff_altitude", a.get_takeoff_altitude),
         ("get_return_to_launch_altitude", a.get_return_to_launch_altitude),
-        ("set_gps_global_origin", lambda: a.set_gps_global_origin(LAT, LON, 0.0)),
-        ("set_actuator", lambda: a.set_actuator(1, 0.0)),
-        ("set_relay", lambda: a.set_relay(0, import_module("mavsdk.plugins.action").RelayCommand(0))),
+        ("set_gps_global_origin", seen(lambda: a.set_gps_global_origin(LAT, LON, 0.0), origin)),
+        ("set_actuator", changing(lambda: a.set_actuator(1, 0.0), bench.outputs)),
+        ("set_relay", changing(lambda: a.set_relay(0, relay.ON), bench.outputs)),
         *_calls(a, "transition_to_fixedwing transition_to_multicopter"),
     ], []
 
@@ -194,14 +258,26 @@ def _calibration(bench: Bench) -> Any:
 
 
 def _camera(bench: Bench) -> Any:
-    c = bench.plugin("camera")
+    c, m = bench.plugin("camera"), import_module("mavsdk.plugins.camera")
+    photos: list[Any] = []
+    c.subscribe_capture_info(lambda info, _: photos.append(info))
+
+    def taken() -> int:
+        return len(photos)
+
     return [
-        ("camera_list", c.camera_list),
-        ("take_photo", lambda: c.take_photo(100)),
-        ("start_video", lambda: c.start_video(100)),
-        ("stop_video", lambda: c.stop_video(100)),
-        ("set_mode", lambda: c.set_mode(100, import_module("mavsdk.plugins.camera").Mode(1))),
-    ], _stream(c, "camera_list")
+        ("camera_list", seen(c.camera_list, lambda: bool(c.camera_list().cameras))),
+        ("set_mode", seen(lambda: c.set_mode(CAMERA, m.Mode.PHOTO), lambda: c.get_mode(CAMERA).name == "PHOTO")),
+        ("take_photo", changing(lambda: c.take_photo(CAMERA), taken)),
+        ("start_photo_interval", seen(lambda: c.start_photo_interval(CAMERA, 1.0), lambda: taken() > 2)),
+        ("stop_photo_interval", lambda: c.stop_photo_interval(CAMERA)),
+        ("get_storage", lambda: c.get_storage(CAMERA)),
+        ("start_video", lambda: c.start_video(CAMERA)),
+        ("stop_video", lambda: c.stop_video(CAMERA)),
+        ("zoom_in_start", lambda: c.zoom_in_start(CAMERA)),
+        ("focus_in_start", lambda: c.focus_in_start(CAMERA)),
+        ("format_storage", lambda: c.format_storage(CAMERA, 1)),
+    ], _stream(c, "camera_list mode storage")
 
 
 def _metadata(bench: Bench) -> Any:
@@ -231,7 +307,18 @@ def _events(bench: Bench) -> Any:
         with contextlib.suppress(Exception):
             arm.disarm()
 
-    return [("get_health_and_arming_checks_report", e.get_health_and_arming_checks_report)], [("events", stir)]
+    there = threading.Event()
+
+    def report() -> Any:
+        """It comes once the metadata have been read."""
+        e.subscribe_health_and_arming_checks(lambda *_: there.set())
+        there.wait(EFFECT_S)
+        return e.get_health_and_arming_checks_report()
+
+    return [("get_health_and_arming_checks_report", report)], [
+        *_stream(e, "health_and_arming_checks"),
+        ("events", stir),
+    ]
 
 
 def _failure(bench: Bench) -> Any:
@@ -246,13 +333,17 @@ def _follow(bench: Bench) -> Any:
 
 def _ftp(bench: Bench) -> Any:
     f, target = bench.plugin("ftp"), str(bench.folder)
-    name = "parameters.json.xz"
+    name, other = "parameters.json.xz", "general.json.xz"
     own = bench.folder / "own.txt"
     own.write_text("own")
+
+    def whole(name: str) -> Callable[[], bool]:
+        return lambda: (bench.folder / name).stat().st_size > 0
+
     return [
         ("list_directory", lambda: f.list_directory("/")),
-        ("download", started(lambda told: f.download_async(name, target, False, told))),
-        ("download by bursts", started(lambda told: f.download_async("general.json.xz", target, True, told))),
+        ("download", seen(started(lambda told: f.download_async(name, target, False, told)), whole(name))),
+        ("download by bursts", seen(started(lambda told: f.download_async(other, target, True, told)), whole(other))),
         ("are_files_identical", lambda: f.are_files_identical(str(bench.folder / name), name)),
         ("upload", started(lambda told: f.upload_async(str(own), "/", told))),
         ("create_directory", lambda: f.create_directory("x")),
@@ -265,10 +356,16 @@ def _geofence(bench: Bench) -> Any:
     g, m = bench.plugin("geofence"), import_module("mavsdk.plugins.geofence")
     corners = [m.Point(LAT + dx * 1e-5, LON + dy * 1e-5) for dx, dy in ((-2, -2), (-2, 2), (2, 2), (2, -2))]
     data = m.GeofenceData([m.Polygon(corners, m.FenceType.INCLUSION)], [])
+
+    def stands() -> bool:
+        with contextlib.suppress(m.GeofenceError):
+            return bool(g.download_geofence().polygons)
+        return False
+
     return [
-        ("upload_geofence", lambda: g.upload_geofence(data)),
+        ("upload_geofence", seen(lambda: g.upload_geofence(data), stands)),
         ("download_geofence", g.download_geofence),
-        ("clear_geofence", g.clear_geofence),
+        ("clear_geofence", seen(g.clear_geofence, lambda: not stands())),
     ], []
 
 
@@ -281,6 +378,15 @@ def _gimbal(bench: Bench) -> Any:
     ], _stream(g, "gimbal_list")
 
 
+def _gripper(bench: Bench) -> Any:
+    g = bench.plugin("gripper")
+    return [
+        ("(release)", lambda: g.release(1)),
+        ("grab", changing(lambda: g.grab(1), bench.outputs)),
+        ("release", changing(lambda: g.release(1), bench.outputs)),
+    ], []
+
+
 def _info(bench: Bench) -> Any:
     i = bench.plugin("info")
     return _calls(i, "get_identification get_product get_version get_speed_factor"), _stream(i, "flight_information")
@@ -288,15 +394,15 @@ def _info(bench: Bench) -> Any:
 
 def _logs(bench: Bench) -> Any:
     f = bench.plugin("log_files")
+    file = bench.folder / "flight.mcap"
 
     def load(told: Callable[..., None]) -> None:
-        entry = f.get_entries()[0]
-        f.download_log_file_async(entry, str(bench.folder / f"log{time.monotonic_ns()}"), told)
+        f.download_log_file_async(f.get_entries()[0], str(file), told)
 
     return [
         ("get_entries", f.get_entries),
-        ("download_log_file", started(load)),
-        ("erase_all", f.erase_all_log_files),
+        ("download_log_file", seen(started(load), lambda: file.stat().st_size > 0)),
+        ("erase_all", seen(f.erase_all_log_files, lambda: len(f.get_entries()) == 1)),
     ], []
 
 
@@ -313,8 +419,9 @@ def _manual(bench: Bench) -> Any:
 
         return run
 
-    starts = ("start_altitude_control", "start_position_control")
-    return [*((name, sticks(getattr(m, name))) for name in starts), ("(disarm)", action.disarm)], []
+    modes = {"start_altitude_control": "ALTCTL", "start_position_control": "POSCTL"}
+    starts = ((name, seen(sticks(getattr(m, name)), bench.in_mode(mode))) for name, mode in modes.items())
+    return [*starts, ("(disarm)", action.disarm)], []
 
 
 def _direct(bench: Bench) -> Any:
@@ -333,15 +440,24 @@ def _mission(bench: Bench) -> Any:
     ]
     action = bench.plugin("action")
     return [
-        ("upload_mission", lambda: p.upload_mission(m.MissionPlan(items))),
+        (
+            "upload_mission",
+            seen(
+                lambda: p.upload_mission(m.MissionPlan(items)),
+                lambda: len(p.download_mission().mission_items) == len(items),
+            ),
+        ),
         ("download_mission", p.download_mission),
         ("(arm)", action.arm),
-        ("start_mission", p.start_mission),
-        ("pause_mission", p.pause_mission),
-        ("set_current_mission_item", lambda: p.set_current_mission_item(1)),
+        ("start_mission", seen(p.start_mission, bench.in_mode("MISSION"))),
+        ("pause_mission", seen(p.pause_mission, bench.in_mode("HOLD"))),
+        (
+            "set_current_mission_item",
+            seen(lambda: p.set_current_mission_item(1), lambda: p.mission_progress().current == 1),
+        ),
         ("is_mission_finished", p.is_mission_finished),
         ("(disarm)", action.disarm),
-        ("clear_mission", p.clear_mission),
+        ("clear_mission", seen(p.clear_mission, lambda: p.mission_progress().total == 0)),
     ], _stream(p, "mission_progress")
 
 
@@ -353,10 +469,14 @@ def _mission_raw(bench: Bench) -> Any:
         ("upload_rally_points", lambda: p.upload_rally_points(_raw_items(2))),
         *_calls(p, "download_mission download_geofence download_rallypoints"),
         ("(arm)", action.arm),
-        *_calls(p, "start_mission pause_mission"),
-        ("set_current_mission_item", lambda: p.set_current_mission_item(1)),
+        ("start_mission", seen(p.start_mission, bench.in_mode("MISSION"))),
+        ("pause_mission", seen(p.pause_mission, bench.in_mode("HOLD"))),
+        (
+            "set_current_mission_item",
+            seen(lambda: p.set_current_mission_item(1), lambda: p.mission_progress().current == 1),
+        ),
         ("(disarm)", action.disarm),
-        ("clear_mission", p.clear_mission),
+        ("clear_mission", seen(p.clear_mission, lambda: p.mission_progress().total == 0)),
         (
             "import_qgroundcontrol_mission",
             lambda: p.import_qgroundcontrol_mission(str(ROOT / "sitl/scenarios/paper.plan")),
@@ -375,9 +495,14 @@ def _offboard(bench: Bench) -> Any:
     return [
         ("(arm)", action.arm),
         ("set_velocity_ned", lambda: o.set_velocity_ned(m.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))),
-        ("start", o.start),
-        ("set_position_ned", lambda: o.set_position_ned(m.PositionNedYaw(0.0, 0.5, 0.5, 0.0))),
-        ("stop", o.stop),
+        ("start", seen(o.start, bench.in_mode("OFFBOARD"))),
+        (
+            "set_position_ned",
+            seen(lambda: o.set_position_ned(m.PositionNedYaw(0.0, 0.5, 0.5, 0.0)), bench.near(0.0, 0.5)),
+        ),
+        ("set_velocity_body", lambda: o.set_velocity_body(m.VelocityBodyYawspeed(0.0, 0.0, 0.0, 0.0))),
+        ("set_attitude", lambda: o.set_attitude(m.Attitude(0.0, 0.0, 0.0, 0.5))),
+        ("stop", seen(o.stop, bench.in_mode("HOLD"))),
         ("(disarm)", action.disarm),
     ], []
 
@@ -387,7 +512,12 @@ def _param(bench: Bench) -> Any:
     return [
         ("get_all_params", p.get_all_params),
         ("get_param_float", lambda: p.get_param_float("SPD_CRUISE")),
-        ("set_param_float", lambda: p.set_param_float("SPD_CRUISE", 0.3)),
+        (
+            "set_param_float",
+            seen(
+                lambda: p.set_param_float("SPD_CRUISE", 0.3), lambda: abs(p.get_param_float("SPD_CRUISE") - 0.3) < 1e-6
+            ),
+        ),
         ("get_param_int", lambda: p.get_param_int("FS_SOLVER_N")),
         ("set_param_int", lambda: p.set_param_int("FS_SOLVER_N", 40)),
         ("a value out of range", lambda: p.set_param_float("SPD_CRUISE", 50.0)),
@@ -427,7 +557,7 @@ PROBES: dict[str, Callable[[Bench], Any]] = {
     "ftp": _ftp,
     "geofence": _geofence,
     "gimbal": _gimbal,
-    "gripper": lambda b: (_calls(b.plugin("gripper"), "grab release", 1), []),
+    "gripper": _gripper,
     "info": _info,
     "log_files": _logs,
     "log_streaming": lambda b: (_calls(b.plugin("log_streaming"), "start_log_streaming"), []),
@@ -460,15 +590,17 @@ PROBES: dict[str, Callable[[Bench], Any]] = {
 
 
 @contextlib.contextmanager
-def bench_on_a_vehicle() -> Iterator[Bench]:
-    """The service in SITL, and MAVSDK beside it."""
+def bench_on_a_vehicle(sensors: str) -> Iterator[Bench]:
+    """The service in SITL with a camera or with poses, and MAVSDK beside it."""
     from autopilot.bench.live_service import live_service
 
     mavsdk.log_subscribe(lambda *args: True)
     # In the middle of the tank, where everything that is tried has room; disarmed, it drifts against a wall in the end.
     with (
         tempfile.TemporaryDirectory() as folder,
-        live_service(scenario="paper-tank", arguments=("--param", "FENCE_REQUIRED=0"), ends=(0, 3)) as service,
+        live_service(
+            scenario="paper-tank", arguments=("--param", "FENCE_REQUIRED=0", "--sensors", sensors), ends=(0, 3)
+        ) as service,
     ):
         configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
         with mavsdk.Mavsdk(configuration) as sdk:
@@ -484,12 +616,15 @@ def bench_on_a_vehicle() -> Iterator[Bench]:
 
 def table(names: list[str], show: Callable[[str], None] = lambda _: None) -> str:
     """Markdown."""
-    lines = ["| plugin | works | does not |", "| --- | --- | --- |"]
-    with bench_on_a_vehicle() as bench:
-        for name in names:
-            lines.append(bench.row(name).markdown())
-            show(lines[-1])
-    return "\n".join(lines) + "\n"
+    rows: dict[str, str] = {}
+    for sensors, wanted in (("pose", lambda name: name != "camera"), ("camera", lambda name: name == "camera")):
+        if not any(map(wanted, names)):
+            continue
+        with bench_on_a_vehicle(sensors) as bench:
+            for name in filter(wanted, names):
+                rows[name] = bench.row(name).markdown()
+                show(rows[name])
+    return "\n".join([*HEAD, *(rows[name] for name in names)]) + "\n"
 
 
 def written() -> str:

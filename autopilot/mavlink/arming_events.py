@@ -8,7 +8,7 @@ from functools import reduce
 from operator import or_
 
 from autopilot.core.arming_reasons import ALL_MODES, COMPONENT_OF, ArmingReason, HealthComponent
-from autopilot.core.messages import Failsafe, Severity
+from autopilot.core.messages import Failsafe
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.event_metadata import (
     ARMING_CHECK_LAYOUT,
@@ -32,8 +32,8 @@ MOST_REASONS = 16
 """Of a report; vehicles with more have larger worries."""
 LINES = 3
 """Events that a long reason takes at most."""
-PROTOCOL = 8
-"""Log level of events that are not shown (libevents)."""
+ERROR, PROTOCOL = 3, 8
+"""Log levels of libevents; events of the second are not shown."""
 _CHUNK = 0
 """A report is in one piece."""
 
@@ -79,7 +79,7 @@ class ArmingEvents:
         emit(ARMING_CHECK_SUMMARY, PROTOCOL, ARMING_CHECK_LAYOUT.pack(_CHUNK, wrong, 0, able, able))
         for reason in reasons:
             for text in spelled(self._ctx.numbered(reason.text), TEXT_CODES, LINES):
-                emit(ARMING_REASON, Severity.ERROR, REASON_LAYOUT.pack(reason.modes, reason.component, text))
+                emit(ARMING_REASON, ERROR, REASON_LAYOUT.pack(reason.modes, reason.component, text))
         emit(HEALTH_SUMMARY, PROTOCOL, HEALTH_LAYOUT.pack(_CHUNK, present, failing, 0))
 
 
