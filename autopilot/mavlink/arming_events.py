@@ -9,7 +9,7 @@ from operator import or_
 
 from autopilot.core.arming_reasons import ALL_MODES, COMPONENT_OF, ArmingReason, HealthComponent
 from autopilot.core.messages import Failsafe
-from autopilot.mavlink.context import Context
+from autopilot.mavlink.context import MAX_TEXT_CHARS, Context
 from autopilot.mavlink.event_metadata import (
     ARMING_CHECK_LAYOUT,
     ARMING_CHECK_SUMMARY,
@@ -41,7 +41,10 @@ _CHUNK = 0
 class ArmingEvents:
     def __init__(self, ctx: Context, events: Events) -> None:
         self._ctx, self._events = ctx, events
-        self._reported: tuple[tuple[ArmingReason, ...], tuple[int, ...]] | None = None
+        self._reported: tuple[tuple[ArmingReason, ...], int, bool] | None = None
+        """Reasons, failsafes and whether there is a power monitor, as of the last report."""
+        self._result: tuple[int, ...] = ()
+        """Its bits."""
         self._due_us = round(FIRST_US * ctx.patience)
         self._words_us = 0
         self._asked = False
@@ -51,17 +54,18 @@ class ArmingEvents:
         self._asked = True
 
     def tick(self) -> None:
-        ctx = self._ctx
-        if ctx.t_us < self._due_us:
+        ctx, view = self._ctx, self._ctx.view
+        state = view.arming_reasons, view.failsafes, view.power is None
+        if ctx.t_us < self._due_us or (state == self._reported and not self._asked):
             return
-        reasons, bits = ctx.view.arming_reasons[:MOST_REASONS], self._bits()
-        known, known_bits = self._reported or ((), ())
-        is_news = bits != known_bits or (reasons != known and ctx.t_us >= self._words_us)
-        if not (is_news or self._asked):
-            return
-        self._asked, self._reported = False, (reasons, bits)
+        result = self._bits()
+        if result == self._result and not self._asked:
+            words = self._reported is None or view.arming_reasons != self._reported[0]
+            if not words or ctx.t_us < self._words_us:
+                return
+        self._asked, self._reported, self._result = False, state, result
         self._due_us, self._words_us = (ctx.t_us + round(us * ctx.patience) for us in (NEWS_US, SAME_RESULT_US))
-        self._send(reasons, *bits)
+        self._send(view.arming_reasons[:MOST_REASONS], *result)
 
     def _bits(self) -> tuple[int, int, int, int]:
         """Modes that can be armed and run; components with reasons, that are present, with active failsafes."""
@@ -78,7 +82,7 @@ class ArmingEvents:
         emit = self._events.emit
         emit(ARMING_CHECK_SUMMARY, PROTOCOL, ARMING_CHECK_LAYOUT.pack(_CHUNK, wrong, 0, able, able))
         for reason in reasons:
-            for text in spelled(self._ctx.numbered(reason.text), TEXT_CODES, LINES):
+            for text in spelled(self._ctx.numbered(reason.text)[:MAX_TEXT_CHARS], TEXT_CODES, LINES):
                 emit(ARMING_REASON, ERROR, REASON_LAYOUT.pack(reason.modes, reason.component, text))
         emit(HEALTH_SUMMARY, PROTOCOL, HEALTH_LAYOUT.pack(_CHUNK, present, failing, 0))
 

@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mavlink_harness import NOT_PACKAGED, World, base_view, mav, nav_state
 
+from autopilot.core.arming_reasons import ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import (
     Fallback,
@@ -89,6 +90,9 @@ views = st.builds(
     origin=places.filter(lambda p: abs(p.lat_deg) <= 89 and abs(p.alt_m) <= 9000),
     home=places,
     failsafes=st.integers(0, 255),
+    arming_reasons=st.lists(
+        st.builds(ArmingReason, st.text(), st.sampled_from(HealthComponent), st.sampled_from(ModeGroup)), max_size=20
+    ).map(tuple),
     cpu_load=anything,
     dropped_rx=st.integers(0, 2**70),
     aid_ratio=st.dictionaries(
@@ -138,8 +142,8 @@ def test_every_message_can_be_packed_whatever_the_state(view: VehicleView, t_us:
 @settings(max_examples=15)
 def test_a_tick_goes_on_whatever_the_state(view: VehicleView) -> None:
     world = World()
-    for n in range(1, 12):
-        frames = world.server.step(n * 10_000, (), replace(view, t_us=n * 10_000))
+    for t_us in (*range(10_000, 120_000, 10_000), 2_000_000):
+        frames = world.server.step(t_us, (), replace(view, t_us=t_us))
         assert all(isinstance(frame, MavlinkFrame) and 12 <= len(frame.data) <= 280 for frame in frames)
 
 

@@ -23,6 +23,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import Saved
 from autopilot.mavlink.api import AHEAD_UNITS, SigningState
+from autopilot.mavlink.dialect import extra
 from autopilot.mavlink.signing import MAX_STREAMS
 from autopilot.run.signing_files import EPOCH_S, SigningFiles
 
@@ -112,6 +113,18 @@ def test_with_a_key_only_its_frames_are_obeyed_and_all_that_goes_out_is_signed()
     assert friend.mav.check_signature(bytearray(beat.data), 1, 1)
     beats = {world.server.beat()[0].data for _ in range(3)}
     assert len(beats) == 3, "every frame has a time of its own"
+
+
+def test_events_go_out_signed_and_are_sent_again_to_who_signs() -> None:
+    world = World(signing=MemoryStore(KEY))
+    friend, stranger = Remote(world, KEY), Remote(world, None, sysid=66)
+    heard = [message.get_type() for _ in range(200) for message in friend.give(b"")]
+    assert "EVENT" in heard and "BAD_DATA" not in heard
+    ask = extra.MAVLink_request_event_message(1, 1, 1, 2)
+    again = friend.give(friend.pack(ask))
+    assert [message.sequence for message in again if message.get_type() == "EVENT"] == [1, 2]
+    assert all(data[2] & 1 for data in friend.raw)
+    assert "EVENT" not in [message.get_type() for message in stranger.give(stranger.pack(ask))]
 
 
 def test_a_program_of_this_machine_need_not_sign_where_the_operator_says_so() -> None:
