@@ -26,7 +26,7 @@ from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
-from autopilot.core.arming_reasons import ArmingReason, ModeGroup
+from autopilot.core.arming_reasons import ArmingReason
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import GeodeticPosition, Origin, refuse_place
@@ -36,6 +36,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint
+from autopilot.mavlink.flight_modes import group_of
 from autopilot.mission.goals import Goals
 from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Position
@@ -147,13 +148,8 @@ class Commander:
         return self._operator.drain()
 
     @property
-    def readiness(self) -> tuple[str, ...]:
-        """:meth:`prearm_reasons` as of the last half second, for telemetry; only that of the plans while armed."""
-        return tuple(reason.text for reason in self.arming_reasons if self._modes.armed or self._concerns(reason))
-
-    @property
     def arming_reasons(self) -> tuple[ArmingReason, ...]:
-        """The same for all modes."""
+        """Reasons in any mode as of the last half second, for telemetry; of an armed vehicle only that of the plans."""
         return self._arming.while_armed if self._modes.armed else self._readiness
 
     @property
@@ -162,11 +158,8 @@ class Commander:
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
-        return tuple(reason.text for reason in self._arming.reasons(self._modes.status) if self._concerns(reason))
-
-    def _concerns(self, reason: ArmingReason) -> bool:
-        """Whether a reason counts in the operator's mode."""
-        return bool(reason.modes & (ModeGroup.POSITIONLESS if self._modes.blind else ModeGroup.POSITION))
+        group = group_of(self._modes.chosen)
+        return tuple(reason.text for reason in self._arming.reasons(self._modes.status) if reason.modes & group)
 
     # Requests: arming and modes
 

@@ -79,11 +79,6 @@ class ModeMachine:
     def active(self) -> FlightModeBehaviour:
         return self._modes[self.mode]
 
-    @property
-    def blind(self) -> bool:
-        """Whether the operator's mode needs no position."""
-        return not self._modes[self.chosen].needs_position
-
     def of_kind(self, kind: type[M]) -> M:
         mode = self._modes[kind.name]
         assert isinstance(mode, kind)

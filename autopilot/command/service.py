@@ -335,7 +335,6 @@ class Autopilot:
             target_ned_m=None if goal is None else goal.pos_ned_m,
             origin=parts.plans.origin,
             home=parts.plans.home,
-            prearm_reasons=commander.readiness,
             arming_reasons=commander.arming_reasons,
             refusals=inputs.refusals,
             fenced=commander.fenced,

@@ -14,6 +14,7 @@ from autopilot.core.params import Saved
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
 from autopilot.mavlink.flight_modes import FlightMode as FlightMode
+from autopilot.mavlink.flight_modes import group_of
 
 
 class CommandResult(IntEnum):
@@ -117,10 +118,8 @@ class VehicleView:
     """(3,) where the vehicle is going."""
     origin: GeodeticPosition
     home: GeodeticPosition
-    prearm_reasons: tuple[str, ...]
-    """Why arming would be refused now; empty = ready."""
     arming_reasons: tuple[ArmingReason, ...] = ()
-    """The same for all modes; of an armed vehicle, what keeps it from its mission."""
+    """Why arming would be refused now, in any mode; of an armed vehicle, what keeps it from its mission."""
     refusals: tuple[str, ...] = ()
     """Those from devices and disk, as reported to new clients."""
     failsafes: int
@@ -146,6 +145,12 @@ class VehicleView:
     """Remaining, None while unknown."""
     ahead: FloatArray | None = None
     """(n, 8) where the controller sees the vehicle go, a state per row (:mod:`autopilot.core.model4`)."""
+
+    @property
+    def prearm_reasons(self) -> tuple[str, ...]:
+        """Those that count in the operator's mode; empty = ready."""
+        group = group_of(self.intended_mode)
+        return tuple(reason.text for reason in self.arming_reasons if self.armed or reason.modes & group)
 
 
 BEAM_TRACKS = 4 << 28

@@ -10,7 +10,7 @@ from typing import Any
 from autopilot.core.arming_reasons import HealthComponent, ModeGroup
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.event_text import PIECES
-from autopilot.mavlink.flight_modes import POSITIONLESS, FlightMode
+from autopilot.mavlink.flight_modes import group_of
 from autopilot.mavlink.profiles import Profile
 
 _VERSION = 2
@@ -88,12 +88,6 @@ def events_json(profile: Profile) -> dict[str, Any]:
         "navigation_mode_groups": {"groups": _mode_groups(profile)},
     }
     return {"version": _VERSION, "components": {str(COMPID): component}}
-
-
-def group_of(mode: FlightMode) -> ModeGroup:
-    if mode is FlightMode.MISSION:
-        return ModeGroup.MISSION
-    return ModeGroup.POSITIONLESS if mode in POSITIONLESS else ModeGroup.POSITION
 
 
 def _mode_groups(profile: Profile) -> dict[str, list[int]]:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 
+from autopilot.core.arming_reasons import ModeGroup
+
 
 class FlightMode(IntEnum):
     """Flight modes. Numbers are internal; a profile maps them to its custom_mode."""
@@ -92,6 +94,14 @@ PILOTED = frozenset(mode for mode, row in MODE_ROWS.items() if row.piloted)
 
 POSITIONLESS = PILOTED - {FlightMode.POSHOLD}
 """Modes in which a pilot without a position may arm and steer."""
+
+
+def group_of(mode: FlightMode) -> ModeGroup:
+    """The group to whose conditions of arming a mode belongs."""
+    if mode is FlightMode.MISSION:
+        return ModeGroup.MISSION
+    return ModeGroup.POSITIONLESS if mode in POSITIONLESS else ModeGroup.POSITION
+
 
 MODE_BUTTONS: Mapping[int, FlightMode] = MappingProxyType(
     {row.button: mode for mode, row in MODE_ROWS.items() if row.button is not None}

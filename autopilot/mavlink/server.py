@@ -613,7 +613,6 @@ def blank_view() -> VehicleView:
         target_ned_m=None,
         origin=_ZERO,
         home=_ZERO,
-        prearm_reasons=(),
         failsafes=0,
         cpu_load=0.0,
         under_way=False,

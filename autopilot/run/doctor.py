@@ -69,7 +69,7 @@ class _SettledOutputs:
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         self.outputs = outputs
         self.aids.update((aid.sensor, outputs.t_us) for aid in outputs.aids if aid.fused)
-        reasons = self._session_of().parts.commander.readiness
+        reasons = tuple(reason.text for reason in self._session_of().parts.commander.arming_reasons)
         if reasons != self.reasons:
             self.reasons, self._changed_us = reasons, outputs.t_us
         if outputs.t_us > SETTLE_S * 1e6:

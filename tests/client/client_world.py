@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import GeodeticPosition, Origin
 from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState, RunEnd
@@ -109,7 +110,9 @@ class StraightVehicle:
             target_ned_m=None,
             origin=_POINT,
             home=_POINT,
-            prearm_reasons=(f"plan: {self.plans.problem}",) if self.plans.problem else (),
+            arming_reasons=(
+                (ArmingReason(f"plan: {self.plans.problem}", HealthComponent.MISSION),) if self.plans.problem else ()
+            ),
             failsafes=0,
             cpu_load=0.0,
             under_way=True,

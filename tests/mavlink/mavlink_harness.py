@@ -189,7 +189,6 @@ def base_view(**changes: Any) -> VehicleView:
         "target_ned_m": np.array([1.75, 0.0, 0.30]),
         "origin": ORIGIN,
         "home": ORIGIN,
-        "prearm_reasons": (),
         "failsafes": 0,
         "cpu_load": 0.25,
         "under_way": True,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, waypoint
 
+from autopilot.core.arming_reasons import ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mavlink.flight_modes import MODE_ROWS
@@ -512,10 +513,20 @@ def test_message_intervals(world: World, client: Client) -> None:
 
 def test_prearm_checks(world: World, client: Client) -> None:
     assert client.command(401) == R.TEMPORARILY_REJECTED
-    world.show(armed=False, prearm_reasons=("no position", "battery low"))
+    world.show(
+        armed=False,
+        arming_reasons=(
+            ArmingReason("no position", HealthComponent.POSITION, ModeGroup.POSITION | ModeGroup.MISSION),
+            ArmingReason("battery low", HealthComponent.BATTERY),
+        ),
+    )
     assert client.command(401) == R.ACCEPTED
     assert "no position" in client.texts() and "battery low" in client.texts()
-    world.show(prearm_reasons=())
+    client.rx.clear()
+    world.show(intended_mode=FlightMode.MANUAL)
+    assert client.command(401) == R.ACCEPTED
+    assert "no position" not in client.texts() and "battery low" in client.texts()
+    world.show(arming_reasons=())
     assert client.command(401) == R.ACCEPTED
     assert "passed" in client.texts()
 

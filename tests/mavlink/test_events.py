@@ -138,7 +138,6 @@ def test_a_client_that_comes_late_asks_for_the_checks() -> None:
     reader = EventReader(world.client())
     run(world, [reader], 5.0)
     assert not reader.events and reader.latest is not None
-    world.show(prearm_reasons=(LEAK.text,))
     assert reader.client.command(mav.MAV_CMD_RUN_PREARM_CHECKS) == mav.MAV_RESULT_ACCEPTED
     run(world, [reader], 0.6)
     assert said(reports(reader)[-1]) == [LEAK.text]

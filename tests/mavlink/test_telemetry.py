@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
+from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, Severity, SolveStatus
@@ -292,9 +293,8 @@ def test_sys_status(world: World) -> None:
         400,
         80,
     )
-    world.show(
-        prearm_reasons=("no position",), nav=nav_state(health=NavHealth.DEAD_RECKONING), dropped_rx=9, power=None
-    )
+    blind = ArmingReason("no position", HealthComponent.POSITION)
+    world.show(arming_reasons=(blind,), nav=nav_state(health=NavHealth.DEAD_RECKONING), dropped_rx=9, power=None)
     status = one(world, "SYS_STATUS")
     assert not status.onboard_control_sensors_health & (prearm | vision | gps)
     assert not status.onboard_control_sensors_present & gps

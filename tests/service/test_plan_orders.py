@@ -158,7 +158,7 @@ class Yard(Bench):
         assert problem == self.fresh()
         if commander.armed and commander.mode is FlightMode.MISSION:
             assert problem == ""
-        assert (f"plan: {problem}" in commander.readiness) == bool(problem)
+        assert any(reason.text == f"plan: {problem}" for reason in commander.arming_reasons) == bool(problem)
         told = [text for text in self.texts if text.startswith(("No start: ", "Holding: ", "Plan ok"))]
         assert (told[-1].partition(": ")[2] if told else "") == problem
 

@@ -48,7 +48,7 @@ def test_an_empty_tightened_set_is_a_named_refusal(params: dict[str, float], say
     bench.run()
     answer = bench.commander.arm(force=False)
     assert answer.result is not OK and says in answer.reason
-    assert any(says in reason for reason in bench.commander.readiness)
+    assert any(says in reason for reason in bench.commander.prearm_reasons())
     assert bench.commander.arm(force=True).result is OK, "force is force"
 
 
