@@ -15,7 +15,8 @@ PATH = Path(__file__).parents[2] / "docs" / "mavsdk_table.py"
 
 
 @pytest.fixture(name="table")
-def table_fixture() -> Iterator[ModuleType]:
+def table_fixture(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(PATH.parent)  # the modules beside it
     spec = importlib.util.spec_from_file_location("mavsdk_table", PATH)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
