@@ -227,6 +227,25 @@ def test_a_client_that_missed_the_restart_is_told_where_the_numbers_are() -> Non
         assert said(reports(reader)[-1]) == [LEAK.text]
 
 
+def test_numbers_begin_again_after_the_last() -> None:
+    world = disarmed(LEAK)
+    world.server._events._latest = 65_530
+    lossy = Lossy(drop=0.4, rng=random.Random(3))
+    reader = EventReader(world.client(from_vehicle=lossy))
+    for n in range(8):
+        run(world, [reader], 3.0)
+        world.show(arming_reasons=(battery(n), LEAK))
+    lossy.drop = 0.0
+    run(world, [reader], 5.0)
+    assert reader.latest == world.server._events._latest < 65_530 and reader.lost == 0
+    assert said(reports(reader)[-1]) == [battery(7).text, LEAK.text]
+    first = reader.events[-1].sequence
+    reader.client.rx.clear()
+    reader.client.send(extra.MAVLink_request_event_message(1, 1, 65_534, first))
+    world.run(0.5)
+    assert [event.sequence for event in reader.client.got("EVENT")][:3] == [65_534, 65_535, 0]
+
+
 def test_the_event_to_come_is_not_missing() -> None:
     client = World().client()
     (error,) = client.ask(extra.MAVLink_request_event_message(1, 1, 5, 9), "RESPONSE_EVENT_ERROR", 0.1)
