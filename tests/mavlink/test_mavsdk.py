@@ -167,16 +167,18 @@ def test_why_arming_is_denied_is_a_report(link: tuple[World, Any]) -> None:
     world, system = link
     modes = ModeGroup.POSITION | ModeGroup.MISSION
     blind = ArmingReason("no position yet: markers must be in view", HealthComponent.POSITION, modes)
-    world.show(arming_reasons=(blind,))
+    long = "plan: xqzj kwvy 0.12 m inside of the fence, between 12.345 and 67.891"
+    world.show(arming_reasons=(blind, ArmingReason(long, HealthComponent.MISSION)))
     reports: queue.Queue[Any] = queue.Queue()
     events = Events(system)
     events.subscribe_health_and_arming_checks(lambda report, _: reports.put(report))
     report = reports.get(timeout=240.0)
     mode = report.current_mode_intention
     assert (mode.mode_name, mode.can_arm_or_run) == ("Hold", False)
-    (problem,) = mode.problems
+    problem, *parts = mode.problems
     assert (problem.message, problem.health_component) == (blind.text, "position")
-    assert {part.name for part in report.health_components if part.has_error} == {"position"}
+    assert " ".join(part.message.removeprefix("... ") for part in parts) == long and len(parts) > 1
+    assert {part.name for part in report.health_components if part.has_error} == {"position", "mission"}
     world.show(arming_reasons=())
     while not reports.get(timeout=240.0).current_mode_intention.can_arm_or_run:
         pass
