@@ -40,6 +40,14 @@ PAUSE_BEATS = 60.0
 LOST_COUNT = 20
 """Consecutive arrivals off the line on one side after which the transport has changed, and the line is restarted."""
 
+STREAM_WINDOW = 1800
+"""Arrivals that show the offset of a stream's clock: a minute at 30 Hz."""
+QUICKEST_PERCENT = 10.0
+PAUSE_US, STEP_US = 2_000_000.0, 200_000.0
+"""A stream's clock begins anew after a longer step, a step back, or when :data:`LOST_COUNT` arrivals in a row are so
+far off."""
+STREAM_SIGMA_US = 1000.0
+"""Of its stamps: encoder and rolling shutter."""
 FEW, UNKNOWN_SIGMA_US = 8, 10_000.0
 """Jitter that is assumed until there are more arrivals."""
 MAD_SIGMA = 1.4826
@@ -74,7 +82,43 @@ class LoopTime:
         return t_us - max(self._ahead_us)
 
 
+class StreamClock:
+    """Stamps of a stream that are times (RTP, V4L2) on the machine's clock.
+
+    Between both is an offset, which the quickest arrivals of a minute show: load and retransmission delay the others.
+    What the mean of the first arrivals was later than the quickest of them is added, as ``latency_s`` is a mean.
+    """
+
+    def __init__(self) -> None:
+        self._late_us: deque[float] = deque(maxlen=STREAM_WINDOW)
+        self._last_us = 0.0
+        self._arrivals = self._off = 0
+        self._offset_us = self._mean_us = 0.0
+
+    def stamp(self, arrival_us: int, stream_us: float) -> int | None:
+        """Arrival time of this image at the mean delay [us]; None while that is not known."""
+        late_us = self._late_us
+        if not 0.0 < stream_us - self._last_us < PAUSE_US or self._off >= LOST_COUNT:
+            late_us.clear()
+            self._arrivals = self._off = 0
+        self._last_us = stream_us
+        late_us.append(arrival_us - stream_us)
+        self._arrivals += 1
+        if self._arrivals < FIRST:
+            return None
+        if self._arrivals % AGAIN == 0:
+            values = np.array(late_us)
+            quickest_us = float(np.percentile(values, QUICKEST_PERCENT))
+            if self._arrivals == FIRST:
+                self._mean_us = float(values.mean()) - quickest_us
+            self._offset_us = quickest_us + self._mean_us
+        self._off = self._off + 1 if abs(late_us[-1] - self._offset_us) > STEP_US else 0
+        return round(stream_us + self._offset_us)
+
+
 class FrameClock:
+    """Without stamps of a stream."""
+
     def __init__(self) -> None:
         self._times_us: deque[int] = deque(maxlen=WINDOW)
         self._line: _Line | None = None

@@ -1,14 +1,17 @@
 """Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
 
 A thread grabs and stamps, so that a slow or hanging camera does not block the loop; of several images since the last
-poll the newest is used. Stamps follow the period of the grabs (:mod:`.drivers.frame_clock`); the mean time from
-exposure to grab is ``latency_s``, and ``autopilot calibrate latency`` measures the remainder.
+poll the newest is used. Stamps follow those of the stream, or the period of the grabs (:mod:`.drivers.frame_clock`);
+the mean time from exposure to grab is ``latency_s``, and ``autopilot calibrate latency`` measures the remainder.
 """
 
 import os
+import re
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -18,7 +21,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
-from autopilot.drivers.frame_clock import FrameClock, LoopTime, machine_us
+from autopilot.drivers.frame_clock import STREAM_SIGMA_US, FrameClock, LoopTime, StreamClock, machine_us
 
 DEAD_US = 3_000_000
 """Without a picture for so long the camera is gone."""
@@ -33,6 +36,22 @@ FFMPEG_OPTIONS = {
 }
 """For live streams; what FFmpeg would print when one ends stands in our own error."""
 
+RTP_OPTIONS = {
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": "protocol_whitelist;file,rtp,udp|fflags;nobuffer+discardcorrupt|flags;low_delay"
+    "|max_delay;0|reorder_queue_size;0|analyzeduration;2500000|probesize;5000000"
+}
+"""What H.264 looks like is told with its key pictures only: wait for one."""
+SDP = """v=0
+o=- 0 0 IN IP4 {host}
+s=camera
+c=IN IP4 {host}
+t=0 0
+m=video {port} RTP/AVP 96
+a=rtpmap:96 H264/90000
+"""
+"""RFC 8866, for pictures that are sent without a description."""
+_RTP = re.compile(r"rtp://(?P<host>[0-9.]+):(?P<port>\d{1,5})")
+
 _OPENING = threading.Lock()
 
 _BACKENDS = {"v4l2": "CAP_V4L2", "ffmpeg": "CAP_FFMPEG", "gstreamer": "CAP_GSTREAMER"}
@@ -42,7 +61,8 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
     """``[devices.camera]`` with ``driver = "opencv"``."""
 
     source: str
-    """"/dev/video0", "rtsp://192.168.2.2:8554/video", "http://...", or a pipeline that ends in "! appsink"."""
+    """"/dev/video0", "rtsp://192.168.2.2:8554/video", "http://...", "rtp://0.0.0.0:5600" (H.264 that is sent to that
+    port of this machine), or a pipeline that ends in "! appsink"."""
     backend: Literal["auto", "v4l2", "ffmpeg", "gstreamer"] = "auto"
     """auto: V4L2 for a device, GStreamer for a pipeline, FFmpeg for the rest."""
     format: Annotated[str, msgspec.Meta(pattern="^[A-Z0-9]{4}$")] | None = None
@@ -64,15 +84,28 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
             return "v4l2"
         return "gstreamer" if "!" in self.source else "ffmpeg"
 
+    @property
+    def stamped(self) -> bool:
+        """Whether each picture comes with the time at which it was taken; for others FFmpeg makes one up."""
+        return self.source.startswith(("rtp://", "rtsp://")) or self.chosen == "v4l2"
+
 
 @contextmanager
-def _ffmpeg_options() -> Iterator[None]:
-    """OpenCV takes FFmpeg's options from the environment only: set while a stream is opened, unless set by the user."""
-    with _OPENING:
-        ours = {name: value for name, value in FFMPEG_OPTIONS.items() if name not in os.environ}
+def _ffmpeg_source(source: str) -> Iterator[str]:
+    """What FFmpeg opens for a source. OpenCV takes its options from the environment only: set while a stream is
+    opened, unless set by the user.
+    """
+    rtp = _RTP.fullmatch(source)
+    options = FFMPEG_OPTIONS if rtp is None else FFMPEG_OPTIONS | RTP_OPTIONS
+    with _OPENING, tempfile.TemporaryDirectory(prefix="camera-") as folder:
+        if rtp is not None:
+            description = Path(folder) / "camera.sdp"
+            description.write_text(SDP.format(host=rtp["host"], port=rtp["port"]), encoding="ascii")
+            source = str(description)
+        ours = {name: value for name, value in options.items() if name not in os.environ}
         os.environ.update(ours)
         try:
-            yield
+            yield source
         finally:
             for name in ours:
                 del os.environ[name]
@@ -92,8 +125,8 @@ class _Grabbed(NamedTuple):
 class _Grabber:
     """The thread of one opening: it owns its capture and lets go of it when it ends, even late."""
 
-    def __init__(self, capture: Any) -> None:
-        self._capture = capture
+    def __init__(self, capture: Any, *, stamped: bool) -> None:
+        self._capture, self._stamped = capture, stamped
         self._lock = threading.Lock()
         self._newest: _Grabbed | None = None
         self.stopped = False
@@ -114,21 +147,27 @@ class _Grabber:
         self._thread.join(JOIN_S)
 
     def _run(self) -> None:
-        beat = FrameClock()
+        import cv2
+
+        beat, stream = FrameClock(), StreamClock()
         try:
             while not self.stopped:
                 if not self._capture.grab():
                     self.failed = "gives no more pictures"
                     return
                 grabbed_us = machine_us()
-                beat_us = beat.stamp(grabbed_us)
+                beat_us, sigma_us = beat.stamp(grabbed_us), beat.sigma_us
+                if self._stamped:
+                    stamped_us = stream.stamp(grabbed_us, 1e3 * self._capture.get(cv2.CAP_PROP_POS_MSEC))
+                    if stamped_us is not None:
+                        beat_us, sigma_us = stamped_us, STREAM_SIGMA_US
                 good, image = self._capture.retrieve()
                 if not good or image is None:
                     self.missed += 1
                     continue
                 with self._lock:
                     self.missed += self._newest is not None
-                    self._newest = _Grabbed(grabbed_us, beat_us, beat.sigma_us, image)
+                    self._newest = _Grabbed(grabbed_us, beat_us, sigma_us, image)
         except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; poll reports them to the loop
             self.failed = str(error) or type(error).__name__
         finally:
@@ -169,16 +208,17 @@ class OpenCvCamera(Closing):
         # Our own error contains what OpenCV would print at every attempt.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
-        params = times if backend == "ffmpeg" else []
+        # Each further thread of FFmpeg's decoder delays pictures by one.
+        params = [*times, cv2.CAP_PROP_N_THREADS, 1] if backend == "ffmpeg" else []
         try:
-            with _ffmpeg_options():
-                capture = cv2.VideoCapture(options.source, getattr(cv2, _BACKENDS[backend]), params)
+            with _ffmpeg_source(options.source) as source:
+                capture = cv2.VideoCapture(source, getattr(cv2, _BACKENDS[backend]), params)
         except cv2.error as error:
             raise DriverError(f"{options.source}: {error}; check `source` and `backend`") from error
         if not capture.isOpened():
             raise DriverError(f"{options.source} cannot be opened by {backend}; check name, cable and users of it")
         self.remarks = self._set_up(capture, cv2) if backend == "v4l2" else []
-        self._last_frame_us, self._grabber = None, _Grabber(capture)
+        self._last_frame_us, self._grabber = None, _Grabber(capture, stamped=options.stamped)
 
     def close(self) -> None:
         grabber, self._grabber = self._grabber, None

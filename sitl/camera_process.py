@@ -1,4 +1,4 @@
-"""A simulated camera in a process of its own: renders what the vehicle sees and serves it as a network camera does.
+"""A simulated camera in a process of its own: renders what the vehicle sees and sends it as a network camera does.
 
 Rendering and packing take most of a core; what simulates or flies the vehicle must not lack it. The parent sends the
 truth of every exposure through a pipe and never waits: what the process cannot follow is a lost picture.
@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
-from typing import IO
+from typing import IO, NamedTuple
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import r_ned_from_frd, rpy_from_r
@@ -26,6 +26,7 @@ from autopilot.drivers.frame_clock import LoopTime, machine_us
 from autopilot.sitl.camera_feed import CameraFeed, is_of_camera, simulated_camera
 from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.plant import Truth
+from autopilot.sitl.rtp import RtpSender
 from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.sitl.sitl_tuning import CAMERA_FEED
 
@@ -38,6 +39,15 @@ NICER = 5
 END_S = 5.0
 
 
+class CameraPlace(NamedTuple):
+    """Where pictures are had: MJPEG is served there over HTTP, H.264 is sent there over RTP."""
+
+    host: str
+    port: int
+    """0 = any that is free; not for RTP."""
+    rtp: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSetup:
     """What the process is told first."""
@@ -47,6 +57,7 @@ class CameraSetup:
     seed: int
     host: str
     port: int
+    rtp: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +71,20 @@ class CameraProcess(Closing):
     """The parent's end."""
 
     def __init__(
-        self, scenario: Scenario, vehicle: Vehicle, seed: int, *, host: str = "127.0.0.1", port: int = 0
+        self,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        seed: int,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        rtp: bool = False,
     ) -> None:
-        """``port`` 0: any that is free. ConfigError if the scenario has no floor or the vehicle no camera."""
+        """See :class:`CameraPlace`. ConfigError if the scenario has no floor or the vehicle no camera."""
         if scenario.tank is None:
             raise ConfigError(f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera")
         sensor, eye = scenario.sensors.camera, vehicle.eye
-        self._setup = CameraSetup(scenario, vehicle, seed, host, port)
+        self._setup = CameraSetup(scenario, vehicle, seed, host, port, rtp)
         self._rate_hz = sensor.rate_hz or eye.rate_hz
         latency_s = eye.latency_s if sensor.latency_s is None else sensor.latency_s
         self.latency_s = CAMERA_FEED.transport_fraction * latency_s + 1e-6 * STREAM_US
@@ -84,6 +102,8 @@ class CameraProcess(Closing):
     @property
     def url(self) -> str:
         """For a camera driver; the port is known once it is open."""
+        if self._setup.rtp:
+            return f"rtp://{self._setup.host}:{self._setup.port}"
         return f"http://{self._setup.host}:{self._setup.port}/video.mjpg"
 
     def open(self) -> None:
@@ -155,12 +175,12 @@ class CameraProcess(Closing):
 
 
 def opened_camera(
-    scenario: Scenario, vehicle: Vehicle, seed: int, place: tuple[str, int] | None, tell: Callable[[str], None]
+    scenario: Scenario, vehicle: Vehicle, seed: int, place: CameraPlace | None, tell: Callable[[str], None]
 ) -> CameraProcess | None:
-    """One that serves at host and port, None for None; ``tell`` is told what a configuration needs to know."""
+    """One whose pictures are had there, None for None; ``tell`` is told what a configuration needs to know."""
     if place is None:
         return None
-    camera = CameraProcess(scenario, vehicle, seed, host=place[0], port=place[1])
+    camera = CameraProcess(scenario, vehicle, seed, **place._asdict())
     camera.open()
     tell(f'[devices.camera] driver = "opencv", source = "{camera.url}", latency_s = {camera.latency_s:g}')
     return camera
@@ -174,11 +194,16 @@ def serve() -> None:
     setup: CameraSetup = pickle.load(stream)
     feed = simulated_camera(setup.scenario, setup.vehicle, setup.seed)
     feed.paced = True
-    server = MjpegServer(setup.port, setup.host)
+    server: MjpegServer | RtpSender = MjpegServer(setup.port, setup.host)
+    if setup.rtp:
+        server = RtpSender(setup.host, setup.port, setup.scenario.sensors.camera.rate_hz or setup.vehicle.eye.rate_hz)
     try:
         server.open()
-    except OSError as error:
-        print(json.dumps({"error": f"cannot listen there ({error.strerror}); choose another"}), flush=True)
+    except (OSError, ConfigError) as error:
+        what = (
+            str(error) if isinstance(error, ConfigError) else f"cannot listen there ({error.strerror}); choose another"
+        )
+        print(json.dumps({"error": what}), flush=True)
         return
     messages: SimpleQueue[Exposure | Fault | None] = SimpleQueue()
     threading.Thread(target=_read, args=(stream, messages.put), name="messages", daemon=True).start()
@@ -188,7 +213,7 @@ def serve() -> None:
     server.close()
 
 
-def _run(feed: CameraFeed, server: MjpegServer, messages: "SimpleQueue[Exposure | Fault | None]") -> None:
+def _run(feed: CameraFeed, server: MjpegServer | RtpSender, messages: "SimpleQueue[Exposure | Fault | None]") -> None:
     """Serve what is exposed, each picture at the end of its latency, until there are no more messages."""
     time: LoopTime | None = None
     while True:

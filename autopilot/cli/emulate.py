@@ -1,6 +1,7 @@
 """``autopilot emulate``: a flight controller with a simulated vehicle, to try ``autopilot run`` on."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +10,9 @@ from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
 from autopilot.cli.shared_options import CAMERA
+
+if TYPE_CHECKING:
+    from autopilot.sitl.camera_process import CameraPlace
 
 
 @click.command()
@@ -41,7 +45,7 @@ def emulate(
     frame: str,
     link: tuple[str, ...],
     pose: tuple[str, ...],
-    camera: tuple[str, int] | None,
+    camera: "CameraPlace | None",
     seed: int,
     duration: float | None,
     truth: Path | None,

@@ -1,6 +1,7 @@
 """``autopilot physics``: the water and the hull under ArduPilot's own simulation."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +10,9 @@ from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
 from autopilot.cli.shared_options import CAMERA, JSON, host_and_port
+
+if TYPE_CHECKING:
+    from autopilot.sitl.camera_process import CameraPlace
 
 
 @click.command()
@@ -37,7 +41,7 @@ def physics(
     frame: str,
     listen: tuple[str, int],
     pose: tuple[str, ...],
-    camera: tuple[str, int] | None,
+    camera: "CameraPlace | None",
     seed: int,
     duration: float | None,
     truth: Path | None,

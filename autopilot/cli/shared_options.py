@@ -1,11 +1,15 @@
 """Options shared by several commands."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, VEHICLE_NAME
 from autopilot.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from autopilot.sitl.camera_process import CameraPlace
 
 
 def host_and_port(ctx: click.Context, option: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -16,6 +20,14 @@ def host_and_port(ctx: click.Context, option: click.Parameter, value: str | None
     if not host or not port.isdecimal() or int(port) > 65535:
         raise ConfigError(f"{option.opts[0]} {value!r}: write HOST:PORT, such as 127.0.0.1:9002")
     return host, int(port)
+
+
+def _camera_place(ctx: click.Context, option: click.Parameter, value: str | None) -> "CameraPlace | None":
+    from autopilot.sitl.camera_process import CameraPlace
+
+    rest = None if value is None else value.removeprefix("rtp://")
+    place = host_and_port(ctx, option, rest)
+    return None if place is None else CameraPlace(*place, rtp=rest != value)
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
@@ -38,9 +50,10 @@ PARAM = click.option(
 )
 CAMERA = click.option(
     "--camera",
-    callback=host_and_port,
-    metavar="HOST:PORT",
-    help="Where a camera serves pictures of the floor (MJPEG over HTTP), e.g. 127.0.0.1:8090.",
+    callback=_camera_place,
+    metavar="[rtp://]HOST:PORT",
+    help="Where a camera serves pictures of the floor (MJPEG over HTTP), e.g. 127.0.0.1:8090; with rtp:// to where it"
+    " sends them (H.264).",
 )
 QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
 CAMPAIGN_OUT = click.option(

@@ -9,7 +9,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.run.clocks import make_clock
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
-from autopilot.sitl.camera_process import opened_camera
+from autopilot.sitl.camera_process import CameraPlace, opened_camera
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 STEP_US = 5_000
@@ -35,7 +35,7 @@ def emulate(
     *,
     links: Sequence[str],
     pose: Sequence[str],
-    camera: tuple[str, int] | None,
+    camera: CameraPlace | None,
     seed: int,
     duration_s: float | None,
     truth_file: Path | None,
@@ -43,7 +43,7 @@ def emulate(
     tell: Callable[[str], None],
 ) -> EmulatedFlight:
     """Run until ``stop``. ``links``: of the flight controller; ``pose``: of the tracking system's reports; ``camera``:
-    host and port of one that serves pictures.
+    where one has its pictures.
     """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)

@@ -14,7 +14,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.sitl.ardupilot_json import JsonPhysics
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
-from autopilot.sitl.camera_process import opened_camera
+from autopilot.sitl.camera_process import CameraPlace, opened_camera
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
@@ -62,7 +62,7 @@ def serve_physics(
     host: str,
     port: int,
     pose: Sequence[str],
-    camera: tuple[str, int] | None,
+    camera: CameraPlace | None,
     seed: int,
     duration_s: float | None,
     truth_file: Path | None,
@@ -70,7 +70,7 @@ def serve_physics(
     tell: Callable[[str], None],
 ) -> PhysicsFlight:
     """Answer ArduPilot until ``stop`` or for a simulated duration. ``pose``: link of the tracking system's
-    reports; ``camera``: host and port of one that serves pictures. ConfigError if a port cannot be opened.
+    reports; ``camera``: where one has its pictures. ConfigError if a port cannot be opened.
     """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)

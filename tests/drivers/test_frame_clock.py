@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.drivers import frame_clock
-from autopilot.drivers.frame_clock import AGAIN, FIRST, WINDOW, FrameClock, LoopTime
+from autopilot.drivers.frame_clock import AGAIN, FIRST, LOST_COUNT, WINDOW, FrameClock, LoopTime, StreamClock
 
 Delay = Callable[[np.random.Generator], float]
 """Of one picture [us]."""
@@ -130,3 +130,41 @@ def test_late_ticks_do_not_move_the_time_of_a_picture() -> None:
     for tick in range(300):
         told.observe(10_000 * tick, 7_000_000 + 10_000 * tick + round(rng.exponential(6000.0)))
     assert told.at(7_000_000 + 3_000_000) == pytest.approx(3_000_000, abs=300)
+
+
+def streamed(clock: StreamClock, times_us: np.ndarray, late_us: np.ndarray, begin_us: float = 0.0) -> np.ndarray:
+    """(n,) how late the stamps are [us]; NaN where there is none. Arrivals in order, the stream's clock its own."""
+    arrivals = np.maximum.accumulate(times_us + late_us)
+    stamps = [clock.stamp(round(at), at_stream - begin_us) for at, at_stream in zip(arrivals, times_us, strict=True)]
+    return np.array([np.nan if stamp is None else stamp for stamp in stamps]) - times_us
+
+
+@settings(max_examples=40)
+@given(
+    st.floats(8.0, 60.0),
+    st.floats(500.0, 12_000.0),
+    st.floats(0.0, 100_000.0),
+    st.sampled_from([0.0, 0.3]),
+    st.integers(0, 1 << 30),
+)
+def test_a_streams_own_stamps_hold_through_jitter_load_and_loss(
+    rate_hz: float, jitter_us: float, load_us: float, lost: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times_us = np.arange(900) * 1e6 / rate_hz + 1e6
+    times_us = times_us[rng.random(len(times_us)) >= lost]
+    late_us = 60_000.0 + rng.exponential(jitter_us, len(times_us))
+    busy = (np.arange(len(times_us)) > 300) & (np.arange(len(times_us)) < 400)
+    off_us = streamed(StreamClock(), times_us, late_us + load_us * busy, begin_us=float(rng.uniform(0.0, 1e9)))
+    assert np.isnan(off_us[: FIRST - 1]).all() and not np.isnan(off_us[FIRST:]).any()
+    assert abs(off_us[FIRST] - late_us[:FIRST].mean()) < 0.5 * jitter_us + 500.0, "latency_s is a mean"
+    assert np.ptp(off_us[FIRST:]) < jitter_us + 500.0
+
+
+def test_a_stream_that_begins_anew_has_another_clock() -> None:
+    clock, times_us = StreamClock(), np.arange(200) * 33_333.0
+    streamed(clock, times_us, np.full(200, 50_000.0))
+    again = streamed(clock, times_us + 1e8, np.full(200, 50_000.0), begin_us=1e8)
+    assert np.isnan(again[: FIRST - 1]).all() and again[-1] == pytest.approx(50_000.0, abs=2.0)
+    set_ahead = streamed(clock, times_us + 2e8, np.full(200, 50_000.0), begin_us=-1e6)
+    assert set_ahead[-1] == pytest.approx(50_000.0, abs=2.0), f"after {LOST_COUNT} arrivals at most"

@@ -5,6 +5,7 @@ import json
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_feed import simulated_camera
 from autopilot.sitl.camera_process import CameraProcess, _moved
 from autopilot.sitl.floor import given_markers
+from autopilot.sitl.rtp import RtpSender
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")
@@ -73,6 +75,26 @@ def test_it_serves_what_the_vehicle_sees_and_begins_anew(watched: Watched) -> No
     watched.camera.restart()
     again = Watched(watched.camera)
     again.until(lambda: len(again.frames) >= 2)
+
+
+def test_it_sends_what_a_vehicles_own_camera_sends() -> None:
+    """H.264 over RTP: in time, stamped by the sender."""
+    with CameraProcess(SCENARIO, VEHICLE, 1, port=free_port(), rtp=True) as camera:
+        watched = Watched(camera)
+        watched.until(lambda: len(watched.frames) >= 80)
+        assert camera.url.startswith("rtp://127.0.0.1:")
+    frames = watched.frames
+    assert frames[-1].image_bgr.shape == (480, 640, 3) and frames[-1].image_bgr.std() > 20.0
+    assert frames[0].stamp_sigma_s > 0.0 and frames[-1].stamp_sigma_s == pytest.approx(1e-3)
+    stamps_us = np.array([frame.t_us for frame in frames if frame.stamp_sigma_s == 1e-3])
+    steps = np.diff(stamps_us) * VEHICLE.eye.rate_hz * 1e-6
+    assert np.abs(steps - np.round(steps)).max() < 0.2, "on the camera's beat, whatever the machine does"
+
+
+def test_h264_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ConfigError, match=r"underwater-autopilot\[rtp\]"):
+        RtpSender("127.0.0.1", free_port(), 30.0).open()
 
 
 def test_a_place_that_is_taken_is_told_and_nothing_is_left_behind() -> None:
