@@ -28,6 +28,8 @@ DEAD_US = 3_000_000
 TIMEOUT_MS = 3000
 """For opening and reading network streams."""
 JOIN_S = 0.5
+HELD_PICTURES = 1
+"""FFmpeg gives a picture of H.264 away when the next one begins."""
 LATENCY_FRACTION = 0.5
 """Part of the vehicle file's camera latency that passes before the grab; the rest is for finding the markers."""
 FFMPEG_OPTIONS = {
@@ -71,7 +73,7 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
     """V4L2: fixed exposure in the camera's own unit (often 0.1 ms); absent = left alone. Markers want a short one."""
     gain: float | None = None
     latency_s: NonNegative | None = None
-    """Exposure to grab; absent = half of the vehicle file's ``camera.latency_s``."""
+    """Exposure to arrival; absent = half of the vehicle file's ``camera.latency_s``."""
     rate_hz: Positive | None = None
     """V4L2: absent = the vehicle file's."""
 
@@ -85,9 +87,13 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
         return "gstreamer" if "!" in self.source else "ffmpeg"
 
     @property
+    def is_rtp(self) -> bool:
+        return self.source.startswith(("rtp://", "rtsp://"))
+
+    @property
     def stamped(self) -> bool:
         """Whether each picture comes with the time at which it was taken; for others FFmpeg makes one up."""
-        return self.source.startswith(("rtp://", "rtsp://")) or self.chosen == "v4l2"
+        return self.is_rtp or self.chosen == "v4l2"
 
 
 @contextmanager
@@ -185,7 +191,8 @@ class OpenCvCamera(Closing):
         self._size = eye.width_px, eye.height_px
         self._rate_hz = options.rate_hz or eye.rate_hz
         latency_s = LATENCY_FRACTION * eye.latency_s if options.latency_s is None else options.latency_s
-        self._latency_us = round(1e6 * latency_s)
+        held_s = HELD_PICTURES / self._rate_hz if options.is_rtp else 0.0
+        self._latency_us = round(1e6 * (latency_s + held_s))
         self._grabber: _Grabber | None = None
         self._time = LoopTime()
         self._last_frame_us: int | None = None
