@@ -132,23 +132,22 @@ class DeviceClock:
         run = self._run_of(error, back=step_us < -MOST_LATENCY_US)
         run.take(arrival_us, difference, self._device_us)
         run.jumped |= skips or difference < self._least_us - MOST_LATENCY_US
-        self._least_us = min(self._least_us, difference)
         if run.far:
             stamped = self._when_far(arrival_us, difference, run)
             return stamped if step_us else None
-        settled = run.steady_difference(arrival_us) if run.side else None
-        if settled is not None and (run.side < 0 or arrival_us - run.since_us >= WITHHELD_US):
-            self._anchor(settled)
+        lasts = run.side < 0 or arrival_us - run.since_us >= WITHHELD_US
+        self._least_us = min(self._least_us, difference)
+        if run.side and lasts and run.is_steady(arrival_us):
+            self._anchor(run.middle)
         else:
             self._follow(error)
         if step_us == 0:
             return None
-        return arrival_us if self._not_usable(arrival_us) else min(self._clock_us, arrival_us + EARLY_US)
+        return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
 
-    @property
-    def _clock_us(self) -> int:
-        """By the device's clock."""
-        return round(self._device_us + self._offset_us)
+    def _by_clock(self, arrival_us: int) -> int:
+        """The stamp by the device's clock."""
+        return min(round(self._device_us + self._offset_us), arrival_us + EARLY_US)
 
     def _run_of(self, error: float, *, back: bool) -> "_Run":
         """The run that a sample with this error belongs to. ``back``: the clock has gone back before it."""
@@ -180,20 +179,21 @@ class DeviceClock:
             self._least_us = difference
             self._anchor(difference)
             return arrival_us
-        settled = run.steady_difference(arrival_us)
-        if settled is None and arrival_us - run.since_us >= WITHHELD_US:
+        steady = run.is_steady(arrival_us)
+        if steady or arrival_us - run.since_us >= WITHHELD_US:
             settled = run.middle
-        if settled is not None:
             late_us = settled - self._offset_us
-            if abs(late_us) > FAR_US and (run.jumped or run.repeats(self._steps.usual_us, late_us)):
+            clear = abs(late_us) > (FAR_US if steady else MOST_LATENCY_US)
+            if clear and (run.jumped or run.repeats(self._steps.usual_us, late_us)):
                 self._note_jump(arrival_us, settled)
+            self._least_us = min(self._least_us, settled)
             self._anchor(settled)
-            return arrival_us if self._not_usable(arrival_us) else self._clock_us
+            return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
         if late_us < 0.0 or self._not_usable(arrival_us):
             return arrival_us
         if repeats or arrival_us - run.since_us > LATE_BURST_US:
             return None
-        return self._clock_us
+        return self._by_clock(arrival_us)
 
     def _note_jump(self, t_us: int, difference: float) -> None:
         self.jumps += 1
@@ -307,9 +307,9 @@ class _Run:
         """Median difference of the last samples."""
         return median([difference for _, difference in self._last])
 
-    def steady_difference(self, arrival_us: int) -> float | None:
-        """The median difference of the last samples if they agree, else None."""
+    def is_steady(self, arrival_us: int) -> bool:
+        """Whether the last samples agree."""
         if len(self._last) < STEADY_COUNT or arrival_us - self._last[0][0] < STEADY_US:
-            return None
+            return False
         differences = [difference for _, difference in self._last]
-        return self.middle if max(differences) - min(differences) <= STEADY_SPREAD_US else None
+        return max(differences) - min(differences) <= STEADY_SPREAD_US
