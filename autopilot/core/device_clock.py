@@ -103,6 +103,11 @@ class DeviceClock:
         self._emitted_us = stamped
         return stamped
 
+    @property
+    def offset_us(self) -> float:
+        """The service's time minus the device's, mean latency included, modulo the range of its counter."""
+        return self._offset_us
+
     def take_notices(self) -> list[tuple[Severity, str]]:
         """Notices to operators since the last call."""
         notices, self._notices = self._notices, []
