@@ -148,6 +148,8 @@ class AidedEstimator(Estimator):
             self._sources.fix_age_us(t_us),
             self._options,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
+            blind=not newest.moment.inertial.real
+            and (self._ahrs_us is None or t_us - self._ahrs_us > ENGINE.blind_after_us),
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
         more = self._monitors.systematic_variance(t_us, newest)
