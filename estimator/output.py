@@ -105,7 +105,8 @@ def judge_health(
     """Good, dead reckoning (no fix or no AHRS for a while), or invalid.
 
     ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning.
-    ``blind``: no AHRS sample has come for a while. ``doubted``: the evidence is against the estimate, or against a sensor that it now lives on."""
+    ``blind``: no AHRS sample has come for a while. ``doubted``: the evidence is against the estimate, or against a
+    sensor that it now lives on."""
     age_s = 1e-6 * fix_age_us
     timed_out = age_s > options.invalid_after_s and not tracked
     if timed_out or core.planar_variance(node.state) > options.sigma_limit_m**2:

@@ -115,7 +115,7 @@ def test_a_sound_clock_on_a_bad_link_never_jumps(device: Device) -> None:
     assert flight.clock.jumps == 0 and flight.clock.take_notices() == []
     stamps = flight.given()
     assert all(before[2] < after[2] for before, after in pairwise(stamps))
-    assert all(-20_000 <= stamp - taken and stamp - arrival <= EARLY_US for arrival, taken, stamp in stamps)
+    assert all(stamp - taken >= -20_000 and stamp - arrival <= EARLY_US for arrival, taken, stamp in stamps)
     if device.period_us <= 20_000:  # of others, seconds may lie between two samples that are not lost
         assert flight.withheld_us() <= WITHHELD_US + STALL_US
 
