@@ -191,6 +191,10 @@ class Proxy:
             del self._reads[ended]
             ended.close()
 
+    def close(self) -> None:
+        for end in (self._server, *self._reads):
+            end.close()
+
     def report(self) -> dict[str, int]:
         links = [link for path in self.paths.values() for link in (path.up, path.down)]
         names = ("sent", "lost", "duplicated", "overtaken")

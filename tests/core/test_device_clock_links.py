@@ -109,7 +109,7 @@ def fly(device: Device, duration_s: float, ahead: Callable[[int], int] = lambda 
 
 
 @given(DEVICES)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_a_sound_clock_on_a_bad_link_never_jumps(device: Device) -> None:
     flight = fly(device, 15.0)
     assert flight.clock.jumps == 0 and flight.clock.take_notices() == []
@@ -121,7 +121,7 @@ def test_a_sound_clock_on_a_bad_link_never_jumps(device: Device) -> None:
 
 
 @given(DEVICES, st.floats(10.0, 11.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_a_reboot_is_found_on_any_link(device: Device, at_s: float) -> None:
     device = replace(device, period_us=min(device.period_us, 20_000))
     flight = fly(device, 15.0, lambda t_us: -500_000_000 if t_us >= 1e6 * at_s else 0)
@@ -133,7 +133,7 @@ def test_a_reboot_is_found_on_any_link(device: Device, at_s: float) -> None:
 
 @pytest.mark.parametrize("step_s", [0.5, -0.5])
 @given(device=DEVICES, at_s=st.floats(6.0, 7.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_a_step_of_half_a_second_is_found_where_a_tenth_is_lost(device: Device, at_s: float, step_s: float) -> None:
     """The latency was the same for long; where it falls by as much as the clock steps, both look alike."""
     now = device.conditions
