@@ -466,6 +466,12 @@ class ArduSub(Closing):
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
         if self._watch.acts(t_us):
-            self._senders.check(t_us, message.time_usec, found, slow_heave=self._watch.slow_heave)
+            self._senders.check(
+                t_us,
+                message.time_usec,
+                found,
+                slow_heave=self._watch.slow_heave,
+                round_trip_us=self._telemetry.latency.longest_us,
+            )
         else:
             self._senders.skip()

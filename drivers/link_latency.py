@@ -60,6 +60,11 @@ class LinkLatency:
     def _best(self) -> _RoundTrip | None:
         return min(self._trips, key=lambda trip: trip.took_us) if self._trips else None
 
+    @property
+    def longest_us(self) -> int:
+        """The longest of the last round trips."""
+        return max((trip.took_us for trip in self._trips), default=0)
+
     def beyond_us(self, ahead_us: float) -> float:
         """Latency beyond that of a cable [us] that is part of a difference of clocks by arrivals (our time minus the
         device's). 0 while it is not known.

@@ -196,7 +196,7 @@ class DeviceClock:
             return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
         if late_us < 0.0 or self._not_usable(arrival_us):
             return arrival_us
-        if repeats or arrival_us - run.since_us > LATE_BURST_US:
+        if repeats or arrival_us - run.first_arrival_us > LATE_BURST_US:
             return None
         return self._by_clock(arrival_us)
 
@@ -272,8 +272,8 @@ class _Run:
 
     def __init__(self, side: int, far: bool, before_us: int, front_us: int) -> None:
         self.side, self.far = side, far
-        self.since_us = before_us
-        """Arrival of the sample before the run."""
+        self.since_us = self.first_arrival_us = before_us
+        """Arrival of the sample before the run, and of its first."""
         self._front_us = front_us
         """The latest device time before it,"""
         self._first_us: int | None = None
@@ -288,6 +288,7 @@ class _Run:
     def take(self, arrival_us: int, difference: float, device_us: int) -> None:
         if not self._last:
             self.since_us = max(self.since_us, arrival_us - WITHHELD_US // 2)
+            self.first_arrival_us = arrival_us
         self._last.append((arrival_us, difference))
         while len(self._last) > STEADY_COUNT and arrival_us - self._last[1][0] >= STEADY_US:
             self._last.popleft()
