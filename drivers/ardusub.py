@@ -194,6 +194,8 @@ class ArduSub(Closing):
         if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             wire.heartbeat()
+        if self._last_received_us is not None and self._telemetry.latency.due(t_us):
+            wire.request_time(t_us)
         self._request_arming(wire, t_us)
         if self._last_received_us is not None and t_us - self._last_request_us >= REQUEST_EVERY_US:
             passed_s = 1e-6 * min(t_us - self._last_request_us, 10 * REQUEST_EVERY_US)
@@ -257,6 +259,9 @@ class ArduSub(Closing):
                 self._prearm = PrearmWatch()
                 self._payload.forget()
             self._boot_ms = message.time_boot_ms
+        if kind == "TIMESYNC":
+            self._telemetry.latency.take(t_us, message.tc1, message.ts1)
+            return []
         if kind in self._received_count:
             self._received_count[kind] += 1
         if kind == "PARAM_VALUE":
@@ -461,6 +466,12 @@ class ArduSub(Closing):
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
         if self._watch.acts(t_us):
-            self._senders.check(t_us, message.time_usec, found, slow_heave=self._watch.slow_heave)
+            self._senders.check(
+                t_us,
+                message.time_usec,
+                found,
+                slow_heave=self._watch.slow_heave,
+                round_trip_us=self._telemetry.latency.longest_us,
+            )
         else:
             self._senders.skip()

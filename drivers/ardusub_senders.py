@@ -12,7 +12,7 @@ from itertools import pairwise
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, PLANE_MOTORS
 
 SERVO_WITHIN_US = 450_000
-"""Outputs correspond to a command of this time before the last: 20 ms to act, the way back, a late loop."""
+"""Outputs correspond to a command of this time and the link's round trip before the last: 20 ms to act, a late loop."""
 PAUSE_US = 300_000
 """After so long without a command of ours its failsafe may have made the outputs neutral."""
 SERVO_TOLERANCE_US = 4
@@ -72,13 +72,15 @@ class OutputWatch:
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 
-    def check(self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool) -> None:
-        """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec."""
+    def check(
+        self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool, round_trip_us: int = 0
+    ) -> None:
+        """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec, ``round_trip_us`` the link's."""
         meant = self._meant
         if not meant:
             self.skip()
             return
-        while meant[-1][0] - meant[0][0] > SERVO_WITHIN_US:
+        while meant[-1][0] - meant[0][0] > SERVO_WITHIN_US + round_trip_us:
             meant.popleft()
         now_us = self._vehicle_us(stamp_us)
         still = (NEUTRAL_US,) * len(found)

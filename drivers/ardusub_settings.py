@@ -4,11 +4,15 @@ Values that break the mixing or a failsafe prevent arming; the texts give the re
 sets them in the ground station.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-NAMES_MISSING_AFTER = 4
-"""A parameter that has not been answered so often does not exist in this version."""
+NAMES_MISSING_AFTER, AT_MOST = 4, 20
+"""A parameter that has not been answered so often does not exist in this version; more often on a link with loss, until
+chance is ruled out:"""
+CHANCE = 1e-4
+"""Of one that exists."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,9 +130,16 @@ class ArduSubSettings:
         return tuple(self._requests)
 
     def missing(self) -> list[str]:
-        return [
-            name for name, count in self._requests.items() if name not in self.values and count < NAMES_MISSING_AFTER
-        ]
+        tries = self._tries
+        return [name for name, count in self._requests.items() if name not in self.values and count < tries]
+
+    @property
+    def _tries(self) -> int:
+        """How often to ask, by what has been asked for in vain of what was answered in the end."""
+        asked = sum(self._requests[name] for name in self.values)
+        lost = 1.0 - len(self.values) / max(asked, 1)
+        wanted = math.ceil(math.log(CHANCE) / math.log(lost)) if 0.0 < lost < 1.0 else 0
+        return min(max(NAMES_MISSING_AFTER, wanted), AT_MOST)
 
     def note_request(self, name: str) -> None:
         self._requests[name] += 1

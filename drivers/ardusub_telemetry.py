@@ -9,6 +9,7 @@ from autopilot.core.device_clock import DeviceClock
 from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, LeakSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import G_M_S2
+from autopilot.drivers.link_latency import LinkLatency
 
 FRESH_IMU_US = 50_000
 """An acceleration older than this beside an attitude: the sample is left out."""
@@ -42,6 +43,8 @@ class ArduSubTelemetry:
         self._given_ground_pa = ground_pa
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """Its own, on ours."""
+        self.latency = LinkLatency(CLOCK_SPAN_US)
+        """Of the way that its messages take."""
         self._accel: tuple[int, list[float]] | None = None
         self._pressure: tuple[int, float] = (-AGAIN_US, math.nan)
         """The last one that was passed on."""
@@ -74,6 +77,10 @@ class ArduSubTelemetry:
                 return []
         return []
 
+    def _taken_us(self, arrived_us: int, latency_s: float) -> int:
+        """When a measurement was made that arrives then, over a link that may be slower than a cable."""
+        return arrived_us - round(1e6 * latency_s + self.latency.beyond_us(self.clock.offset_us))
+
     def leak(self, t_us: int) -> list[Sample]:
         """State of the leak probe, once per second: ArduSub warns at intervals, and sends nothing while it is dry."""
         wet = self._leak_us is not None and t_us - self._leak_us < LEAK_HOLD_US
@@ -95,7 +102,7 @@ class ArduSubTelemetry:
             return []
         return [
             AhrsSample(
-                t_us=stamped_us - round(1e6 * self._vehicle.ahrs.latency_s),
+                t_us=self._taken_us(stamped_us, self._vehicle.ahrs.latency_s),
                 rpy_rad=np.array(numbers[:3]),
                 rate_frd_rad_s=np.array(numbers[3:]),
                 accel_frd_m_s2=np.array(self._accel[1]),
@@ -112,8 +119,8 @@ class ArduSubTelemetry:
             return []
         self._pressure = (t_us, message.press_abs)
         depth_m = (PA_HPA * message.press_abs - ground_pa) / (self._density * G_M_S2)
-        stamp_us = t_us - round(1e6 * self._vehicle.depth_sensor.latency_s)
-        return [DepthSample(t_us=stamp_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]
+        taken_us = self._taken_us(t_us, self._vehicle.depth_sensor.latency_s)
+        return [DepthSample(t_us=taken_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]
 
     def _altimeter(self, t_us: int, message: Any) -> list[Sample]:
         """Sample of its range finder; none at or beyond its limits; a quality of 0 means unknown."""
@@ -122,11 +129,11 @@ class ArduSubTelemetry:
             return []
         if quality and quality < LEAST_QUALITY:
             return []
-        stamp_us = t_us - round(1e6 * self._vehicle.altimeter.latency_s)
+        taken_us = self._taken_us(t_us, self._vehicle.altimeter.latency_s)
         range_m = 0.01 * range_cm
         sigma_m = math.hypot(RANGE_SIGMA_M, RANGE_FRACTION * range_m)
         confidence = 0.01 * quality if quality else 1.0
-        return [AltimeterSample(t_us=stamp_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
+        return [AltimeterSample(t_us=taken_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
 
     def _power(self, t_us: int, message: Any) -> list[Sample]:
         cells = [cell for cell in message.voltages if cell != 65535]

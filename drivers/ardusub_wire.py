@@ -105,6 +105,9 @@ class Wire:
     def request_message(self, message_id: int) -> None:
         self._command(REQUEST_MESSAGE, float(message_id))
 
+    def request_time(self, t_us: int) -> None:
+        self._send(self._mav.timesync_encode(0, 1000 * t_us))
+
     def order(self, command: int, first: float, second: float) -> None:
         self._command(command, first, second)
 

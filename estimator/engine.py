@@ -59,6 +59,8 @@ from autopilot.estimator.water import WaterVariation
 FIXED = (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED)
 """Modes in which fixes and the vehicle model show the current."""
 INERTIAL = (AhrsSample, ImuSample)
+AGES = 31
+"""Number of AHRS samples that show their usual age."""
 PICTURES = (PoseSample, MarkerSighting)
 """Kinds of samples that make a node, and that give a pose by a picture."""
 
@@ -109,6 +111,8 @@ class AidedEstimator(Estimator):
         """Heading of the newest node before its measurements."""
         self._inertial_count = 0
         self._ahrs_us: int | None = None
+        self._ahrs_ages_us: deque[int] = deque(maxlen=AGES)
+        """Of the last samples on arrival: by a slow link they come late, and are not missing."""
         self._anchored_since_us: int | None = None
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
@@ -144,6 +148,8 @@ class AidedEstimator(Estimator):
             self._sources.fix_age_us(t_us),
             self._options,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
+            blind=not newest.moment.inertial.real
+            and (self._ahrs_us is None or t_us - self._ahrs_us > ENGINE.blind_after_us),
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
         more = self._monitors.systematic_variance(t_us, newest)
@@ -229,6 +235,7 @@ class AidedEstimator(Estimator):
         if self._ahrs_offset_us:
             sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
         newest_us = self._recent[-1].t_us if self._recent else -1
+        self._ahrs_ages_us.append(now_us - sample.t_us)
         if not self._validator.let_in(sample, now_us, newest_us):
             return
         self._ahrs_us = now_us
@@ -322,7 +329,9 @@ class AidedEstimator(Estimator):
     def _go_blind(self) -> None:
         """Without AHRS data for too long: let the vehicle model move the state."""
         history = self._fusion.history
-        until_us = self._fusion.now_us - ENGINE.ahrs_wait_us
+        ages_us = sorted(self._ahrs_ages_us)
+        usual_us = min(ages_us[len(ages_us) // 2], ENGINE.ahrs_age_max_us) if ages_us else 0
+        until_us = self._fusion.now_us - max(ENGINE.ahrs_wait_us, usual_us + ENGINE.ahrs_gap_us)
         gap_us = until_us - history.newest.t_us
         if gap_us < ENGINE.blind_step_us:
             return

@@ -132,6 +132,12 @@ INERTIAL_MONITOR = InertialMonitorTuning()
 class EngineTuning:
     ahrs_wait_us: int = 60_000
     """Timeout of AHRS data, after which the filter continues without."""
+    ahrs_gap_us: int = 45_000
+    """The same beyond their usual age on arrival,"""
+    ahrs_age_max_us: int = 400_000
+    """which is taken for no more than this."""
+    blind_after_us: int = 200_000
+    """Time without AHRS samples after which the estimate is dead reckoning: a few lost ones change nothing."""
     blind_step_us: int = 20_000
     blind_steps_max: int = 500
     """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""

@@ -93,16 +93,24 @@ def nav_state(
 
 
 def judge_health(
-    node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions, *, tracked: bool, doubted: bool
+    node: Node,
+    core: FilterCore,
+    fix_age_us: int,
+    options: EstimatorOptions,
+    *,
+    tracked: bool,
+    blind: bool,
+    doubted: bool,
 ) -> NavHealth:
     """Good, dead reckoning (no fix or no AHRS for a while), or invalid.
 
     ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning.
-    ``doubted``: the evidence is against the estimate, or against a sensor that it now lives on."""
+    ``blind``: no AHRS sample has come for a while. ``doubted``: the evidence is against the estimate, or against a
+    sensor that it now lives on."""
     age_s = 1e-6 * fix_age_us
     timed_out = age_s > options.invalid_after_s and not tracked
     if timed_out or core.planar_variance(node.state) > options.sigma_limit_m**2:
         return NavHealth.INVALID
-    if doubted or age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
+    if doubted or age_s > options.dead_reckoning_after_s or blind:
         return NavHealth.DEAD_RECKONING
     return NavHealth.GOOD

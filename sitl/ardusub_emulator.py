@@ -344,6 +344,8 @@ class ArduSubEmulator:
                 self._pilot(t_us, message)
             case "COMMAND_LONG":
                 self._command(t_us, message, source)
+            case "TIMESYNC" if message.tc1 == 0:
+                self._send(self._mav.timesync_encode(1000 * t_us, message.ts1))
             case "PARAM_REQUEST_READ":
                 self._send_parameter(message.param_id)
             case "PARAM_SET" if message.param_id in self.parameters:

@@ -1,12 +1,16 @@
-"""Conversion of a device's clock to the service's time: tracks drift, and recovers from a jump within half a second.
+"""Conversion of a device's clock to the service's time: tracks drift, follows the latency, and finds jumps.
 
 Arrival times have scheduling jitter; the device's own stamps do not. The mean difference of both contains the mean
 latency, which the caller subtracts.
 
-A jump and a late arrival both change the difference. They differ in the step from one device stamp to the next: a
-healthy clock makes even steps, however late the samples arrive; a jump is an uneven step that the arrivals do not
-show. Only a change of the difference after an uneven step is taken as a jump. A clock that jumps repeatedly is not
-used: samples then have their time of arrival.
+A jump of the clock, another latency and lost samples all change the difference, and whichever it was, the clock is
+set anew once the difference is steady. Only what latency and losses together cannot do is taken for a jump:
+
+- back: more samples arrive than the device's clock has gone on for (each stamp is sent once);
+- forward: the clock skips a time that is no multiple of the usual step, or many steps on a line that loses nothing; or
+  samples arrive so early that those before must have had a latency that no line has.
+
+A clock that jumps repeatedly is not used: samples then have their time of arrival.
 """
 
 from collections import deque
@@ -15,26 +19,38 @@ from statistics import median
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Severity
 
-LOST_US = 50_000.0
-"""A difference that is off by more belongs to a late arrival or to another setting of the clock."""
-TOGETHER = 1.5
-"""Hysteresis of the limit on either side of a jump."""
+FAR_US = 50_000.0
+"""A difference that is off by more belongs to late samples, another latency or another setting of the clock."""
+STAYS_FAR_US = 35_000.0
+"""The same for the samples after one that is: hysteresis."""
+NEAR_US = 6_000.0
+"""One that is off by less is jitter."""
+EARLY_US = 10_000
+"""No stamp is later than the arrival by more, which drivers take off as latency."""
 STEADY_US, STEADY_COUNT = 150_000, 5
-"""Samples whose clock may have jumped are withheld until it has been steady for so long and so many of them,"""
+"""A difference is steady if so many samples over so long"""
 STEADY_SPREAD_US = 25_000.0
-"""within this spread of the difference,"""
+"""are within this spread."""
 WITHHELD_US = 400_000
-"""and no longer than this: then arrivals are the stamps."""
+"""Samples that may be stamped wrongly are withheld no longer than this: then arrivals are the stamps. Samples that are
+a little late (a busy machine) move the mean at once if they have been so for as long."""
 LATE_BURST_US = 50_000
 """Samples that a stalled line delivers late come at once; those that stay late for longer have a wrong stamp."""
-EVEN_SHARE, EVEN_US, EVEN_MOST_US = 0.3, 3_000.0, 6_000.0
-"""A step of the device is even if it differs from the usual one by no more than this share, within these times."""
-SMALL_US, MATCH_US, MATCH_SHARE = 6_000.0, 3_000.0, 0.2
-"""A jump of less than LOST_US is one from the first on, if the uneven step explains it within the others."""
+EVEN_US, EVEN_DEVIATIONS = 3_000.0, 4.0
+"""A step of the device is even if it differs from a multiple of the usual one by no more than this, or by so many of
+its mean deviations."""
 EXPLAINED_SHARE = 0.5
 """A step is part of a jump if the difference without it is below this fraction."""
-STEPS = 15
-"""Number of steps whose median is the usual step."""
+AGAIN_SHARE = 0.8
+"""Of a jump back, what is to be seen of the times that come again: samples get lost."""
+MOST_LATENCY_US = 400_000.0
+"""No line on which a vehicle is flown is slower: what arrives earlier by more has a clock that has jumped."""
+MOST_DRIFT = 5e-4
+"""Of a quartz."""
+LOSSLESS, SKIPPED = 100, 3
+"""A line that has lost nothing for so many samples does not lose more than so many at once."""
+STEPS = 31
+"""Number of steps that show the usual one."""
 SETTLED = 100
 """Stamps after which a clock is known; until then it may be set without a notice."""
 OFTEN, OFTEN_US = 3, 5_000_000
@@ -49,14 +65,12 @@ class DeviceClock:
     """Share of a new difference once the start is over (1 s at 100 Hz)."""
     CLIP_US = 5_000.0
     """A late arrival moves the mean no further than if it had been late by this."""
-    UNBROKEN_COUNT = 50
-    """Samples in a row that are off though the clock makes even steps: the latency is another."""
 
     def __init__(self, span_us: int = ANY_SPAN_US) -> None:
         """``span_us``: the device's counter begins anew after this."""
         self._span_us = span_us
         self.jumps = 0
-        """Number of jumps of the device's clock."""
+        """Number of jumps of the device's clock by more than FAR_US."""
         self._notices: list[tuple[Severity, str]] = []
         self._unreported: list[int] = []
         self._reported_us: int | None = None
@@ -66,12 +80,11 @@ class DeviceClock:
     def begin(self) -> None:
         """The device has been opened: its clock may show anything."""
         self._raw_us: int | None = None
-        self._device_us = self._arrival_us = 0
+        self._device_us = self._arrival_us = self._front_us = 0
         self._count = self._seen = 0
-        self._offset_us = 0.0
-        self._steps: deque[int] = deque(maxlen=STEPS)
-        self._episode: _Episode | None = None
-        self._trial: _Trial | None = None
+        self._offset_us = self._least_us = 0.0
+        self._steps = _Steps()
+        self._run: _Run | None = None
         self._jumped_us: deque[int] = deque(maxlen=OFTEN)
         self._by_arrival = False
 
@@ -83,11 +96,17 @@ class DeviceClock:
         self._device_us += step_us
         stamped = self._stamped(arrival_us, step_us)
         self._arrival_us = arrival_us
+        self._front_us = max(self._front_us, self._device_us)
         self._tell(arrival_us)
         if stamped is None or stamped <= self._emitted_us:
             return None
         self._emitted_us = stamped
         return stamped
+
+    @property
+    def offset_us(self) -> float:
+        """The service's time minus the device's, mean latency included, modulo the range of its counter."""
+        return self._offset_us
 
     def take_notices(self) -> list[tuple[Severity, str]]:
         """Notices to operators since the last call."""
@@ -106,39 +125,44 @@ class DeviceClock:
         difference = float(arrival_us - self._device_us)
         if self._count == 0:
             self._anchor(difference)
+            self._least_us = difference
             return arrival_us
-        known, usual_us = bool(self._steps), median(self._steps) if self._steps else float(step_us)
-        if step_us > 0:
-            self._steps.append(step_us)
-        self._seen += 1
+        passed_us = arrival_us - self._arrival_us
+        self._least_us += MOST_DRIFT * passed_us
         error = difference - self._offset_us
-        if abs(error) > self._jump_limit_us():
-            arrived_us = arrival_us - self._arrival_us
-            even = (known and self._even(step_us, usual_us)) or abs(arrived_us - step_us) < 0.5 * LOST_US
-            if self._seen < SETTLED and (error < 0.0 or not even):  # samples buffered at the start are late as well
-                self._anchor(difference)
-                return arrival_us
-            # Samples that are lost within a late burst make uneven steps as well, but not such as it is off by.
-            explained = abs(error + step_us - usual_us) < EXPLAINED_SHARE * abs(error)
-            stamped = self._when_off(arrival_us, difference, broken=explained and not even)
+        ahead_us = self._device_us - self._front_us
+        skips = self._steps.skips(ahead_us, passed_us) and _explains(ahead_us - self._steps.usual_us, error)
+        self._steps.take(step_us)
+        self._seen += 1
+        run = self._run_of(error, back=step_us < -MOST_LATENCY_US)
+        run.take(arrival_us, difference, self._device_us)
+        run.jumped |= skips or difference < self._least_us - MOST_LATENCY_US
+        if run.far:
+            stamped = self._when_far(arrival_us, difference, run)
             return stamped if step_us else None
-        self._episode = None
-        shift = self._small_jump(arrival_us, step_us, usual_us, error)
+        lasts = run.side < 0 or arrival_us - run.since_us >= WITHHELD_US
+        self._least_us = min(self._least_us, difference)
+        if run.side and lasts and run.is_steady(arrival_us):
+            self._anchor(run.middle)
+        else:
+            self._follow(error)
         if step_us == 0:
             return None
-        if self._not_usable(arrival_us):
-            return arrival_us
-        if shift:
-            return round(self._device_us + self._offset_us + shift)
-        self._follow(difference - self._offset_us)
-        return round(self._device_us + self._offset_us)
+        return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
 
-    def _jump_limit_us(self) -> float:
-        """From where on the difference is off; the limit depends on how the samples before were judged."""
-        if self._trial is not None:
-            return TOGETHER * LOST_US
-        broken = self._episode is not None and self._episode.broken
-        return LOST_US / TOGETHER if broken else LOST_US
+    def _by_clock(self, arrival_us: int) -> int:
+        """The stamp by the device's clock."""
+        return min(round(self._device_us + self._offset_us), arrival_us + EARLY_US)
+
+    def _run_of(self, error: float, *, back: bool) -> "_Run":
+        """The run that a sample with this error belongs to. ``back``: the clock has gone back before it."""
+        before = self._run
+        side = 0 if abs(error) <= NEAR_US else 1 if error > 0.0 else -1
+        stays = before is not None and before.far and before.side == side
+        far = abs(error) > (STAYS_FAR_US if stays else FAR_US)
+        if before is None or back or (before.side, before.far) != (side, far):
+            before = self._run = _Run(side, far, self._arrival_us, self._front_us)
+        return before
 
     def _follow(self, error: float) -> None:
         self._count += 1
@@ -149,60 +173,39 @@ class DeviceClock:
 
     def _anchor(self, difference: float) -> None:
         self._count, self._offset_us = 1, difference
-        self._episode = self._trial = None
+        self._front_us = self._device_us
+        self._run = None
 
-    @staticmethod
-    def _even(step_us: int, usual_us: float) -> bool:
-        return abs(step_us - usual_us) <= min(max(EVEN_US, EVEN_SHARE * usual_us), EVEN_MOST_US)
-
-    def _when_off(self, arrival_us: int, difference: float, *, broken: bool) -> int | None:
-        """The difference is far from its mean: late samples, or a jump."""
-        trial, self._trial = self._trial, None
-        episode = self._episode
-        if episode is None:
-            before_us = self._arrival_us if trial is None else trial.since_us
-            episode = self._episode = _Episode(before_us, arrival_us, broken=trial is not None)
-        episode.take(arrival_us, difference, broken=broken)
-        late = difference - self._offset_us
-        if episode.broken:
-            settled = episode.steady_difference(arrival_us)
-            if settled is not None:
-                self._note_jump(arrival_us, settled)
-                self._anchor(settled)
-            elif arrival_us - episode.before_us < WITHHELD_US and not self._not_usable(arrival_us):
-                return None
-            if settled is None or self._not_usable(arrival_us):
-                return arrival_us
-        elif episode.count >= self.UNBROKEN_COUNT:
+    def _when_far(self, arrival_us: int, difference: float, run: "_Run") -> int | None:
+        """The difference is far from its mean: late samples, another latency, or a jump."""
+        late_us = difference - self._offset_us
+        repeats = run.repeats(self._steps.usual_us, late_us)
+        if self._seen < SETTLED and (late_us < 0.0 or repeats):  # samples buffered at the start are late as well
+            self._least_us = difference
             self._anchor(difference)
-        elif self._not_usable(arrival_us):
             return arrival_us
-        elif late > 0.0 and arrival_us - episode.since_us > LATE_BURST_US:
+        steady = run.is_steady(arrival_us)
+        if steady or arrival_us - run.since_us >= WITHHELD_US:
+            settled = run.middle
+            late_us = settled - self._offset_us
+            clear = abs(late_us) > (FAR_US if steady else MOST_LATENCY_US)
+            if clear and (run.jumped or run.repeats(self._steps.usual_us, late_us)):
+                self._note_jump(arrival_us, settled)
+            self._least_us = min(self._least_us, settled)
+            self._anchor(settled)
+            return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
+        if late_us < 0.0 or self._not_usable(arrival_us):
+            return arrival_us
+        if repeats or arrival_us - run.first_arrival_us > LATE_BURST_US:
             return None
-        return round(self._device_us + self._offset_us)
-
-    def _small_jump(self, arrival_us: int, step_us: int, usual_us: float, error: float) -> float:
-        """Correction of the stamp [us] while an uneven step may be a jump of less than LOST_US."""
-        if self._trial is None:
-            if self._even(step_us, usual_us):
-                return 0.0
-            self._trial = _Trial(arrival_us, usual_us)
-        trial = self._trial
-        trial.take(step_us, error)
-        jump_us = trial.jump_us
-        if arrival_us - trial.since_us >= STEADY_US and len(trial.errors) >= STEADY_COUNT:
-            self._trial = None
-            miss = median(trial.errors)
-            if abs(miss) >= SMALL_US and abs(miss + jump_us) <= MATCH_US + MATCH_SHARE * abs(miss):
-                self._note_jump(arrival_us, self._offset_us + miss)
-                self._offset_us += miss
-            return 0.0
-        return -jump_us if abs(error + jump_us) < 0.5 * abs(error) else 0.0
+        return self._by_clock(arrival_us)
 
     def _note_jump(self, t_us: int, difference: float) -> None:
         self.jumps += 1
         self._unreported.append(round(self._offset_us - difference))
         self._jumped_us.append(t_us)
+        self._least_us = difference
+        self._steps.lossless = LOSSLESS
 
     def _not_usable(self, t_us: int) -> bool:
         """Whether the clock jumps so often that arrivals are the better stamps."""
@@ -225,43 +228,94 @@ class DeviceClock:
         self._notices.append(notices.CLOCK_JUMPED(what=what, used=used))
 
 
-class _Episode:
-    """Samples in a row whose difference is off."""
+def _explains(more_us: float, error: float) -> bool:
+    """Whether a clock that has gone on by so much more explains an error of the difference."""
+    return abs(error + more_us) < EXPLAINED_SHARE * abs(error)
 
-    def __init__(self, before_us: int, since_us: int, *, broken: bool) -> None:
-        self.before_us = max(before_us, since_us - WITHHELD_US // 2)
-        self.since_us = since_us
-        self.broken = broken
-        """Whether the clock has made an uneven step on the way."""
-        self.count = 0
+
+class _Steps:
+    """Steps from one stamp to the next."""
+
+    def __init__(self) -> None:
+        self._last: deque[int] = deque(maxlen=STEPS)
+        self.usual_us = 0.0
+        self._deviation_us = 0.0
+        """Mean deviation of single steps from the usual one."""
+        self.lossless = 0
+        """Number of steps since samples were lost."""
+
+    def take(self, step_us: int) -> None:
+        if step_us <= 0:
+            return
+        self._last.append(step_us)
+        single_us = sorted(self._last)[len(self._last) // 4]  # many are longer, where samples are lost
+        self.usual_us = median(step_us / max(1, round(step_us / single_us)) for step_us in self._last)
+        self.lossless = self.lossless + 1 if step_us < 1.5 * self.usual_us else 0
+        if self.lossless:
+            self._deviation_us += (abs(step_us - self.usual_us) - self._deviation_us) / STEPS
+
+    def skips(self, step_us: int, passed_us: int) -> bool:
+        """Whether the clock has gone further than samples lost since the last one, ``passed_us`` ago, explain."""
+        usual_us = self.usual_us
+        if not usual_us or step_us <= passed_us:
+            return False
+        steps = max(round(step_us / usual_us), 1)
+        if steps > 1 + SKIPPED and self.lossless >= LOSSLESS and passed_us < 2.0 * usual_us:
+            return True
+        # The usual step is known to a fraction of the deviation, which adds up over many.
+        even_us = max(EVEN_US, EVEN_DEVIATIONS * self._deviation_us) * max(1.0, steps / SKIPPED)
+        return abs(step_us - steps * usual_us) > even_us and even_us < 0.25 * usual_us
+
+
+class _Run:
+    """Samples in a row whose difference is off to the same side."""
+
+    def __init__(self, side: int, far: bool, before_us: int, front_us: int) -> None:
+        self.side, self.far = side, far
+        self.since_us = self.first_arrival_us = before_us
+        """Arrival of the sample before the run, and of its first."""
+        self._front_us = front_us
+        """The latest device time before it,"""
+        self._first_us: int | None = None
+        self._newest_us: int | None = None
+        """the first and the latest in it."""
+        self._count = 0
+        """Samples in it that came in order."""
+        self.jumped = False
+        """Whether the clock has skipped a time on the way."""
         self._last: deque[tuple[int, float]] = deque()
 
-    def take(self, arrival_us: int, difference: float, *, broken: bool) -> None:
-        self.broken |= broken
-        self.count += 1
+    def take(self, arrival_us: int, difference: float, device_us: int) -> None:
+        if not self._last:
+            self.since_us = max(self.since_us, arrival_us - WITHHELD_US // 2)
+            self.first_arrival_us = arrival_us
         self._last.append((arrival_us, difference))
         while len(self._last) > STEADY_COUNT and arrival_us - self._last[1][0] >= STEADY_US:
             self._last.popleft()
+        if self._newest_us is None or device_us > self._newest_us:
+            self._newest_us = device_us
+            self._count += 1
+        if self._first_us is None:
+            self._first_us = device_us
 
-    def steady_difference(self, arrival_us: int) -> float | None:
-        """The median difference of the last ones if they agree, else None."""
+    def repeats(self, usual_us: float, late_us: float) -> bool:
+        """Whether the device's clock has gone back: it shows, in order, times that it has shown before."""
+        if self._newest_us is None or self._first_us is None or late_us <= 0.0:
+            return False
+        if late_us > MOST_LATENCY_US and self._newest_us < self._front_us:
+            return True
+        back_us = self._front_us + usual_us - self._first_us
+        again_us = self._count * usual_us - (self._newest_us - self._front_us)
+        return abs(late_us - back_us) < EXPLAINED_SHARE * late_us and again_us > AGAIN_SHARE * late_us
+
+    @property
+    def middle(self) -> float:
+        """Median difference of the last samples."""
+        return median([difference for _, difference in self._last])
+
+    def is_steady(self, arrival_us: int) -> bool:
+        """Whether the last samples agree."""
         if len(self._last) < STEADY_COUNT or arrival_us - self._last[0][0] < STEADY_US:
-            return None
+            return False
         differences = [difference for _, difference in self._last]
-        if max(differences) - min(differences) > STEADY_SPREAD_US:
-            return None
-        return median(differences)
-
-
-class _Trial:
-    def __init__(self, since_us: int, usual_us: float) -> None:
-        self.since_us = since_us
-        self._usual_us = usual_us
-        self.jump_us = 0.0
-        """By how much the device's clock has gone further than the usual steps."""
-        self.errors: list[float] = []
-        """Of the differences [us]."""
-
-    def take(self, step_us: int, error: float) -> None:
-        self.jump_us += step_us - self._usual_us
-        self.errors.append(error)
+        return max(differences) - min(differences) <= STEADY_SPREAD_US

@@ -19,13 +19,19 @@ from autopilot.run.vehicle_config import load_config
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.operator import ScriptedOperator
 from autopilot.sitl.scenario import load_scenario, with_vehicle
+from tests.lossy_link import LinkConditions, LossyLink
+
+PERFECT = LinkConditions()
 
 
 class Tank:
     """The service on the vehicle's companion, an operator and a pilot."""
 
-    def __init__(self, folder: Path, *, operator: bool = True, **parameters: float) -> None:
-        """``operator``: one who arms and starts the mission."""
+    def __init__(
+        self, folder: Path, *, operator: bool = True, conditions: LinkConditions = PERFECT, **parameters: float
+    ) -> None:
+        """``operator``: one who arms and starts the mission. ``conditions``: of the links to the flight controller and
+        of the tracking system's."""
         below, ours = free_port(), free_port()
         path = folder / "rov.toml"
         path.write_text(
@@ -51,6 +57,7 @@ class Tank:
         self._client = open_link(f"udpout:127.0.0.1:{ours}")
         self._operator = ScriptedOperator(1) if operator else None
         self._pilot: Any = self.below.codec(255, 190)
+        self.up, self.down, self.poses = (LossyLink(conditions, seed) for seed in range(3))
         self.texts: list[tuple[float, str]] = []
         self.outputs: Outputs | None = None
         self.session: Session = open_vehicle(
@@ -72,7 +79,9 @@ class Tank:
         self.world_goes_on(t_us)
         pose = self.world.pose(t_us)
         if pose is not None:
-            self._client.send(pose)
+            self.poses.put(t_us, pose)
+        for data in self.poses.take(t_us):
+            self._client.send(data)
         received = [received.data for received in self._client.recv(t_us)]
         for data in () if self._operator is None else self._operator.step(t_us, received):
             self._client.send(data)
@@ -81,10 +90,14 @@ class Tank:
         """Water, vehicle and flight controller."""
         for received in self._wire.recv(t_us):
             if not self.deaf:
-                self.below.receive(t_us, received.data)
+                self.up.put(t_us, received.data)
+        for data in self.up.take(t_us):
+            self.below.receive(t_us, data)
         for data in self.world.advance(t_us + self.late_us):
             if not self.unheard:
-                self._wire.send(data)
+                self.down.put(t_us, data)
+        for data in self.down.take(t_us):
+            self._wire.send(data)
 
     def run(self, until: Callable[[Outputs], bool], at_most_s: float) -> None:
         """Ticks until something is so."""
