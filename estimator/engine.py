@@ -16,7 +16,15 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavState
-from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSighting, PoseSample, Sample
+from autopilot.core.samples import (
+    AhrsSample,
+    CameraTiltSample,
+    ImuSample,
+    LaserSample,
+    MarkerSighting,
+    PoseSample,
+    Sample,
+)
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.attitude import AttitudeSource
@@ -54,6 +62,7 @@ from autopilot.estimator.startup import StartUp
 from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, YAW, initial_state
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
+from autopilot.estimator.tilted_camera import TiltedCamera
 from autopilot.estimator.water import WaterVariation
 
 FIXED = (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED)
@@ -98,6 +107,7 @@ class AidedEstimator(Estimator):
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
             None if markers is None else MapMonitor(markers),
             trust,
+            None if vehicle.tilt is None or vehicle.tilt.camera_deg is None else TiltedCamera(vehicle.tilt),
         )
         self._fixes = Fixes(self._fusion, self._sources, monitors, self._trim)
         self._recalibration = Recalibration(self._fusion, self._sources, self._intake, monitors)
@@ -209,12 +219,18 @@ class AidedEstimator(Estimator):
                 inertial.append(sample)
             elif type(sample) in self._sources.aid_of:
                 aiding.append(sample)
+            elif isinstance(sample, CameraTiltSample) and self._monitors.tilted is not None:
+                self._monitors.tilted.note(sample)
         if len(inertial) > 1:
             inertial.sort(key=lambda s: s.t_us)
         for given in inertial:
             self._take_inertial(given)
+        tilted = self._monitors.tilted
         for stamped in aiding:
             sample = self._sources.on_our_clock(stamped)
+            of_pictures = tilted is not None and self._sources.aid_of[type(sample)].of_pictures
+            if of_pictures and tilted is not None and not tilted.uses(sample.t_us, now_us):
+                continue
             self._intake.admit(sample, now_us)
             if isinstance(sample, PICTURES):
                 if isinstance(sample, MarkerSighting):

@@ -41,6 +41,10 @@ CHANNEL_NUMBERS = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5,
 PLANE = 4
 """Motors 1 to 4 lie in the plane."""
 SERVOS, RELAYS = 16, 2
+FREE_FUNCTIONS = (0, 1, *range(51, 67))
+"""SERVOn_FUNCTION that DO_SET_SERVO moves: disabled, manual, RCIN1 to RCIN16."""
+MOUNT_PITCH = 7
+"""SERVOn_FUNCTION of the camera's tilt."""
 
 READ_US = 20_000
 """Channels are read so often."""
@@ -106,6 +110,16 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "BARO1_GND_PRESS": GROUND_PA,
         "BARO2_GND_PRESS": GROUND_PA,
         "BARO_SPEC_GRAV": 1.0,
+        # Lights at outputs 13 and 14, the camera's tilt at 16, as on a vehicle that is sold with a Navigator.
+        **{f"SERVO{n}_FUNCTION": 0.0 for n in range(9, SERVOS + 1)},
+        "SERVO13_FUNCTION": 59.0,
+        "SERVO14_FUNCTION": 60.0,
+        "SERVO16_FUNCTION": float(MOUNT_PITCH),
+        "SERVO16_MIN": 1100.0,
+        "SERVO16_MAX": 1900.0,
+        "MNT1_TYPE": 1.0,
+        "MNT1_PITCH_MIN": -45.0,
+        "MNT1_PITCH_MAX": 45.0,
     }
 
 
@@ -145,6 +159,8 @@ class ArduSubEmulator:
         self.spare_us: dict[int, int] = {}
         """Pulses that were asked for by command, by output."""
         self.relays: dict[int, bool] = {}
+        self.tilt_deg = 0.0
+        """Target of mount 1, by command or by its pilot; upwards positive."""
         self._shown_armed = False
         self._show_us = 0
         self._channels = [NEUTRAL_US] * 8
@@ -391,15 +407,40 @@ class ArduSubEmulator:
             result = 0 if message.param1 == 0.0 else 4
             if result == 0:
                 self._sent_us["HEARTBEAT"] = -(1 << 62)
-        elif message.command == 183 and len(self._rows) < message.param1 <= SERVOS:
-            self.spare_us[int(message.param1)] = int(message.param2)
-            result = 0
+        elif message.command == 183:
+            result = self._set_servo(int(message.param1), int(message.param2))
+        elif message.command == 205:
+            result = 0 if message.param7 == 2.0 else 2
+            if result == 0:
+                self.tilt_deg = message.param1
         elif message.command == 181 and 0 <= message.param1 < RELAYS:
             self.relays[int(message.param1)] = message.param2 > 0.5
             result = 0
-        elif message.command in (181, 183):
+        elif message.command == 181:
             result = 4
         self._send(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
+
+    def _set_servo(self, number: int, pulse_us: int) -> int:
+        """DO_SET_SERVO; MAV_RESULT."""
+        if round(self.parameters.get(f"SERVO{number}_FUNCTION", -1.0)) not in FREE_FUNCTIONS:
+            self._text(6, f"ServoRelayEvent: Channel {number} is already in use")
+            return 4
+        self.spare_us[number] = pulse_us
+        return 0
+
+    def _rail(self) -> list[int]:
+        """Pulses of all outputs, 0 = off."""
+        rail = [*self.servos_us, *([0] * (SERVOS - len(self.servos_us)))]
+        for number, pulse_us in self.spare_us.items():
+            rail[number - 1] = pulse_us
+        values = self.parameters
+        low_deg, high_deg = values["MNT1_PITCH_MIN"], values["MNT1_PITCH_MAX"]
+        level = (min(max(self.tilt_deg, low_deg), high_deg) - low_deg) / (high_deg - low_deg)
+        for number in range(1, SERVOS + 1):
+            if round(values.get(f"SERVO{number}_FUNCTION", 0.0)) == MOUNT_PITCH:
+                low_us, high_us = values[f"SERVO{number}_MIN"], values[f"SERVO{number}_MAX"]
+                rail[number - 1] = round(low_us + level * (high_us - low_us))
+        return rail
 
     def _send_parameter(self, name: str) -> None:
         if name in self.parameters:
@@ -440,7 +481,7 @@ class ArduSubEmulator:
                     self._pressure_us = t_us
                 self._send(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
             case "SERVO_OUTPUT_RAW":
-                servos = (*self.servos_us, *([0] * (16 - len(self.servos_us))))
+                servos = self._rail()
                 self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
             case _:
                 cells = [round(1e3 * truth.voltage_v), *([65535] * 9)]

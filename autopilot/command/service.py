@@ -42,7 +42,7 @@ from autopilot.core.messages import (
     ThrusterHealthState,
 )
 from autopilot.core.payload import PayloadState
-from autopilot.core.samples import ExternalPoseSample
+from autopilot.core.samples import CameraTiltSample, ExternalPoseSample
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import VehicleView
 
@@ -392,6 +392,8 @@ class Autopilot:
         status.path_left_m = motion.path_left_m
         status.nav_disagrees = shadow is not None and shadow.disagrees
         status.nav_doubts = estimated.doubts
+        tilted = environment.tilt_problem
+        status.camera_problem = "" if tilted is None else tilted.text
         status.thruster_effectiveness = actuation.effectiveness_values
         status.thrusters_doubtful = actuation.doubtful_thrusters
         status.thruster_problem = environment.thruster_problem or actuation.problem
@@ -517,7 +519,9 @@ class Autopilot:
         self._unsent += self._events
 
     def _step_equipment(self, tick: TickState) -> None:
-        tick.payload = self._parts.equipment.step(tick.inputs.t_us)
+        equipment, shown = self._parts.equipment, self._environment.sensed.of(CameraTiltSample)
+        equipment.note_tilt(None if shown is None else shown.angle_rad)
+        tick.payload = equipment.step(tick.inputs.t_us)
 
     def _take_notices(self, tick: TickState) -> None:
         tick.notices = self._parts.server.take_notices()

@@ -170,6 +170,16 @@ CAMERA_TILTED = _warning(
     "More than their uncertainties explain.",
     "Correct the mounting of the one that is off.",
 )
+CAMERA_AWAY = _warning(
+    "Camera at {now_deg:.0f} deg, markers need {wanted_deg:.0f}: tilt it",
+    "The camera is tilted away from `camera_deg`; its pictures are not used.",
+)
+CAMERA_TILT_UNKNOWN = _warning(
+    "Camera tilt unknown, no markers: see output {channel}",
+    "The flight controller does not report the pulse of the camera's tilt.",
+    "Check SERVOn_FUNCTION (7) and `channel`.",
+)
+CAMERA_TILTED_BACK = _info("Camera is tilted back: markers are used again")
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."
 )

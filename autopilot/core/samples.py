@@ -234,6 +234,15 @@ class HullSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraTiltSample:
+    """Angle of the tilt that carries a camera, by the pulse at its servo: on its way it is elsewhere."""
+
+    t_us: int
+    angle_rad: float
+    """Against the body, upwards positive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PilotSample:
     """Input from the pilot's sticks was received by the flight controller or a receiver."""
 
@@ -267,6 +276,7 @@ Sample: TypeAlias = (
     | PowerSample
     | LeakSample
     | HullSample
+    | CameraTiltSample
     | PilotSample
     | ObstacleTrack
 )

@@ -11,6 +11,7 @@ from typing import Any
 from autopilot.core.samples import (
     AhrsSample,
     AltimeterSample,
+    CameraTiltSample,
     DepthSample,
     ExternalPoseSample,
     HullSample,
@@ -210,6 +211,15 @@ float64 pressure_pa  # absolute, inside the hull; NaN not measured
 float64 temperature_c  # the same
 """,
         estimator=False,
+    ),
+    SampleRow(
+        of=CameraTiltSample,
+        topic="/in/camera_tilt",
+        type="CameraTilt",
+        frame="frd",
+        fields="""
+float64 angle_rad  # by the pulse at its servo, upwards positive
+""",
     ),
     SampleRow(
         of=PilotSample,
