@@ -24,6 +24,8 @@ class TiltedCamera(Monitor):
         self._newest: CameraTiltSample | None = None
         self._reported: bool | None = None
         """Whether the angle was known when pictures were last reported unused, None = they are used."""
+        self._begin_us: int | None = None
+        """Of pictures: the first report may come after them."""
         self._unused = 0
 
     def note(self, sample: CameraTiltSample) -> None:
@@ -36,9 +38,12 @@ class TiltedCamera(Monitor):
         away = any(-AHEAD_US <= picture_us - off_us <= SETTLE_US for off_us in self._off)
         problem = tilt_problem(self._tilt, self._newest, now_us)
         known = self._newest is not None and now_us - self._newest.t_us <= SILENT_US
+        if self._begin_us is None:
+            self._begin_us = now_us
         if away or not known:
             self._unused += 1
-            if problem is not None and self._reported is not known:
+            early = not known and now_us - self._begin_us <= SILENT_US
+            if problem is not None and self._reported is not known and not early:
                 self._reported = known
                 self._texts.append(problem.text)
             return False

@@ -67,6 +67,7 @@ DEFAULT_RATES_HZ = {
     "SCALED_PRESSURE2": 2.0,
     "SERVO_OUTPUT_RAW": 2.0,
     "BATTERY_STATUS": 3.0,
+    "DISTANCE_SENSOR": 3.0,
 }
 MESSAGE_IDS = {
     1: "SYS_STATUS",
@@ -75,7 +76,10 @@ MESSAGE_IDS = {
     137: "SCALED_PRESSURE2",
     36: "SERVO_OUTPUT_RAW",
     147: "BATTERY_STATUS",
+    132: "DISTANCE_SENSOR",
 }
+MAX_RANGE_M, RANGE_NOISE_M = 50.0, 0.02
+"""Of a sonar altimeter as range finder 1."""
 
 
 def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float]:
@@ -117,6 +121,7 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "SERVO16_FUNCTION": float(MOUNT_PITCH),
         "SERVO16_MIN": 1100.0,
         "SERVO16_MAX": 1900.0,
+        "RNGFND1_TYPE": 0.0,  # sold separately; 10 = by MAVLink
         "MNT1_TYPE": 1.0,
         "MNT1_PITCH_MIN": -45.0,
         "MNT1_PITCH_MAX": 45.0,
@@ -134,6 +139,7 @@ class ArduSubEmulator:
         seed: int = 0,
         directions: Sequence[int] | None = None,
         parameters: dict[str, float] | None = None,
+        floor_depth_m: float | None = None,
     ) -> None:
         """``directions``: MOT_n_DIRECTION as this vehicle needs them, 1 for all by default."""
         from pymavlink.dialects.v20 import ardupilotmega
@@ -148,6 +154,7 @@ class ArduSubEmulator:
         self._pressure_frd_m = np.array(vehicle.depth_sensor.position_frd_m)
         self.parameters = {**default_parameters(frame, signs), **(parameters or {})}
         """Live: what is written here or by PARAM_SET acts at once."""
+        self._floor_depth_m = floor_depth_m
         self.mode = MANUAL
         self.armed = False
         self.wet = False
@@ -483,6 +490,8 @@ class ArduSubEmulator:
             case "SERVO_OUTPUT_RAW":
                 servos = self._rail()
                 self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
+            case "DISTANCE_SENSOR":
+                self._send_range(ms, truth)
             case _:
                 cells = [round(1e3 * truth.voltage_v), *([65535] * 9)]
                 used = round(truth.energy_used_j / 100.0)
@@ -490,6 +499,14 @@ class ArduSubEmulator:
                 self._send(
                     mav.battery_status_encode(0, 0, 1, 32767, cells, round(100.0 * truth.current_a), -1, used, left)
                 )
+
+    def _send_range(self, ms: int, truth: Truth) -> None:
+        """Range to the floor, straight down: its beam is wide."""
+        if self._floor_depth_m is None or self.parameters["RNGFND1_TYPE"] == 0.0:
+            return
+        range_m = self._floor_depth_m - float(truth.pos_ned_m[2]) + RANGE_NOISE_M * float(self._rng.standard_normal())
+        range_cm = round(100.0 * min(max(range_m, 0.0), MAX_RANGE_M))
+        self._send(self._mav.distance_sensor_encode(ms, 30, round(100.0 * MAX_RANGE_M), range_cm, 2, 0, 25, 0))
 
     def _slow_errors(self, t_us: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         keep = math.exp(-1e-6 * (t_us - self._slow_us) / SLOW_S)

@@ -24,7 +24,8 @@ class ArduSubVehicle:
         """``more``: keyword arguments of the emulator."""
         self._vehicle = vehicle
         self._plant = create_plant(scenario.plugins.plant, PlantContext(scenario=scenario, vehicle=vehicle, seed=seed))
-        self.controller = ArduSubEmulator(vehicle, frame, seed=seed, **more)
+        depth_m = None if scenario.tank is None else scenario.tank.depth_m
+        self.controller = ArduSubEmulator(vehicle, frame, seed=seed, floor_depth_m=depth_m, **more)
         """The flight controller."""
         self._mav: Any = self.controller.codec(ARDUSUB_VEHICLE.tracker_system, ARDUSUB_VEHICLE.tracker_component)
         self._rng = np.random.default_rng((seed, 71))
