@@ -55,6 +55,7 @@ MESSAGE_IDS = {
     "SERVO_OUTPUT_RAW": SERVO_ID,
     "DISTANCE_SENSOR": 132,
     "BATTERY_STATUS": 147,
+    "GPS_RAW_INT": 24,
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
 REBOOT_MS = 1000
@@ -101,6 +102,7 @@ class ArduSub(Closing):
             "SERVO_OUTPUT_RAW": SERVO_HZ,
             "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,
             "BATTERY_STATUS": SLOW_HZ,
+            "GPS_RAW_INT": vehicle.gps.rate_hz,
         }
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()

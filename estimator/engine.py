@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
@@ -19,9 +21,11 @@ from autopilot.core.messages import AidStatus, NavDoubt, NavState
 from autopilot.core.samples import (
     AhrsSample,
     CameraTiltSample,
+    DepthSample,
     ImuSample,
     LaserSample,
     MarkerSighting,
+    PlanarFixSample,
     PoseSample,
     Sample,
 )
@@ -151,7 +155,7 @@ class AidedEstimator(Estimator):
         health = judge_health(
             newest,
             core,
-            self._sources.fix_age_us(t_us),
+            self._sources.position_age_us(t_us),
             self._options,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
@@ -292,7 +296,7 @@ class AidedEstimator(Estimator):
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
         drift = self._sources.velocity.drift
-        if self._sources.fix_age_us(inertial.t_us) <= ENGINE.alone_after_us:
+        if self._sources.position_age_us(inertial.t_us) <= ENGINE.alone_after_us:
             drift.fixed(inertial.t_us, x)
         elif anchored:
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))
@@ -360,9 +364,16 @@ class AidedEstimator(Estimator):
     # Start-up.
 
     def _try_start(self, until_us: int) -> None:
+        gps = self._sources.gps
         for sample in self._intake.due(until_us):
             aid = self._sources.fix_of.get(type(sample))
             before = [i for i in self._recent if i.t_us <= sample.t_us]
+            if isinstance(sample, DepthSample):
+                gps.note_depth(sample)
+            if isinstance(sample, PlanarFixSample) and before and self._fusion.past is None:
+                surface = gps.first_fix(sample, before[-1])
+                if surface is not None:
+                    self._start(surface, gps, before[-1])
             if aid is None or not before:
                 continue
             fix = aid.first_fix(sample, before[-1])
@@ -372,10 +383,13 @@ class AidedEstimator(Estimator):
     def _start(self, fix: PoseFix, aid: Aid, first: Inertial) -> None:
         """First node at the AHRS sample before the fix, then all AHRS samples since."""
         x = initial_state(fix.z[:3], float(fix.z[3]), wrap_pi(first.ahrs_yaw_rad - float(fix.z[3])))
-        self._fusion.begin_at(
-            Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, self._fusion.core.start(x))
-        )
-        aid.last_fused_us = fix.t_us
+        state = self._fusion.core.start(x)
+        if aid is self._sources.gps:  # metres, while the covariance of the start is that of markers
+            state = self._fusion.core.relocate(state, fix.z, fix.noise, np.zeros(3))
+            self._sources.gps.agreed_us = fix.t_us
+            self._sources.velocity.drift.fixed(fix.t_us, x)
+        self._fusion.begin_at(Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, state))
+        aid.last_fused_us = self._sources.begun_us = fix.t_us
         for inertial in [i for i in self._recent if i.t_us > first.t_us]:
             self._advance(self._fusion.history, inertial)
 

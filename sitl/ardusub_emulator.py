@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
+from autopilot.core.geodesy import Origin, place_from_ned
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
@@ -68,6 +69,7 @@ DEFAULT_RATES_HZ = {
     "SERVO_OUTPUT_RAW": 2.0,
     "BATTERY_STATUS": 3.0,
     "DISTANCE_SENSOR": 3.0,
+    "GPS_RAW_INT": 2.0,
 }
 MESSAGE_IDS = {
     1: "SYS_STATUS",
@@ -77,7 +79,11 @@ MESSAGE_IDS = {
     36: "SERVO_OUTPUT_RAW",
     147: "BATTERY_STATUS",
     132: "DISTANCE_SENSOR",
+    24: "GPS_RAW_INT",
 }
+GPS_UP_M, GPS_SIGMA_M, GPS_HZ = 0.15, 1.5, 5.0
+"""Of its receiver: height of the antenna over the centre of gravity, error of each axis, drawn once, and rate."""
+
 MAX_RANGE_M, RANGE_NOISE_M = 50.0, 0.02
 """Of a sonar altimeter as range finder 1."""
 
@@ -122,6 +128,7 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "SERVO16_MIN": 1100.0,
         "SERVO16_MAX": 1900.0,
         "RNGFND1_TYPE": 0.0,  # sold separately; 10 = by MAVLink
+        "GPS1_TYPE": 0.0,  # sold separately; 1 = found by itself
         "MNT1_TYPE": 1.0,
         "MNT1_PITCH_MIN": -45.0,
         "MNT1_PITCH_MAX": 45.0,
@@ -140,6 +147,7 @@ class ArduSubEmulator:
         directions: Sequence[int] | None = None,
         parameters: dict[str, float] | None = None,
         floor_depth_m: float | None = None,
+        origin: Origin | None = None,
     ) -> None:
         """``directions``: MOT_n_DIRECTION as this vehicle needs them, 1 for all by default."""
         from pymavlink.dialects.v20 import ardupilotmega
@@ -154,7 +162,7 @@ class ArduSubEmulator:
         self._pressure_frd_m = np.array(vehicle.depth_sensor.position_frd_m)
         self.parameters = {**default_parameters(frame, signs), **(parameters or {})}
         """Live: what is written here or by PARAM_SET acts at once."""
-        self._floor_depth_m = floor_depth_m
+        self._floor_depth_m, self._origin = floor_depth_m, origin
         self.mode = MANUAL
         self.armed = False
         self.wet = False
@@ -196,6 +204,7 @@ class ArduSubEmulator:
         self.pressure_hz = 10.0
         """So often its pressure sensor is read; between two readings the last is sent again."""
         self._pressure_hpa, self._pressure_us = 0.0, -(1 << 62)
+        self._gps_off_m = GPS_SIGMA_M * self._rng.standard_normal(2)
         self.mute = False
         """Says nothing and hears nothing: a cable that is off."""
 
@@ -490,6 +499,8 @@ class ArduSubEmulator:
             case "SERVO_OUTPUT_RAW":
                 servos = self._rail()
                 self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
+            case "GPS_RAW_INT":
+                self._send_gps(t_us, truth)
             case "DISTANCE_SENSOR":
                 self._send_range(ms, truth)
             case _:
@@ -499,6 +510,20 @@ class ArduSubEmulator:
                 self._send(
                     mav.battery_status_encode(0, 0, 1, 32767, cells, round(100.0 * truth.current_a), -1, used, left)
                 )
+
+    def _send_gps(self, t_us: int, truth: Truth) -> None:
+        """GPS_RAW_INT of a receiver whose antenna is on top; under water there is no fix, without one no receiver."""
+        if self._origin is None or self.parameters["GPS1_TYPE"] == 0.0:
+            return
+        north, east, down = truth.pos_ned_m.tolist()
+        off_n, off_e = self._gps_off_m.tolist()
+        dry = down < GPS_UP_M
+        place = place_from_ned(self._origin, north + off_n, east + off_e, down - GPS_UP_M) if dry else None
+        lat, lon, alt = (0.0, 0.0, 0.0) if place is None else (place.lat_deg, place.lon_deg, place.alt_m)
+        read_us = t_us - t_us % round(1e6 / GPS_HZ)
+        where = (round(1e7 * lat), round(1e7 * lon), round(1e3 * alt))
+        accuracy = {"h_acc": round(1e3 * GPS_SIGMA_M)} if dry else {}
+        self._send(self._mav.gps_raw_int_encode(read_us, 3 if dry else 1, *where, 90, 65535, 0, 65535, 12, **accuracy))
 
     def _send_range(self, ms: int, truth: Truth) -> None:
         """Range to the floor, straight down: its beam is wide."""

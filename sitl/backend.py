@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 
 from autopilot.core.camera_tilt import TiltReports
 from autopilot.core.errors import ConfigError
+from autopilot.core.geodesy import Origin
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import FlightControllerState
 from autopilot.core.samples import CameraFrame, PowerSample, Sample
@@ -171,7 +172,9 @@ class SimulatedVehicle(Closing):
         if not self._obstacles.blind:
             self._observers.append(self._obstacles)
         depth_m = None if scenario.tank is None else scenario.tank.depth_m
-        world = SensedWorld(floor_depth_m=depth_m, waves=wave_train(scenario.waves, depth_m))
+        place = scenario.origin
+        origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
+        world = SensedWorld(floor_depth_m=depth_m, waves=wave_train(scenario.waves, depth_m), origin=origin)
         self._optional = optional_sensors(sensors, vehicle, world, faults, seed)
         self._hull = SimHullSensor(sensors.hull, faults) if sensors.hull.enabled else None
         if self._hull is not None:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from autopilot.core.geodesy import Origin
 from autopilot.core.samples import Sample
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
@@ -26,6 +27,8 @@ class SensedWorld:
     floor_depth_m: float | None = None
     """None = open water."""
     waves: WaveTrain | None = None
+    origin: Origin = Origin(lat_deg=0.0, lon_deg=0.0)
+    """Of the local frame."""
 
 
 class OptionalSensor(LossySensor[S], Generic[S, V]):

@@ -170,6 +170,9 @@ CAMERA_TILTED = _warning(
     "More than their uncertainties explain.",
     "Correct the mounting of the one that is off.",
 )
+ORIGIN_BY_GPS = _info("Origin set by GPS: {lat_deg:.6f}, {lon_deg:.6f}")
+GPS_FAR = _warning("GPS not used: {reason}", "", "Set the origin (SET_GPS_GLOBAL_ORIGIN, ORIGIN_LAT, ORIGIN_LON).")
+GPS_ORIGIN_DENIED = _warning("GPS sets no origin: {reason}")
 CAMERA_AWAY = _warning(
     "Camera at {now_deg:.0f} deg, markers need {wanted_deg:.0f}: tilt it",
     "The camera is tilted away from `camera_deg`; its pictures are not used.",

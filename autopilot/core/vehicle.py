@@ -291,6 +291,14 @@ class AltimeterMount(SensorMount, frozen=True, kw_only=True):
         _goes_down(self.direction_frd)
 
 
+class GpsMount(SensorMount, frozen=True, kw_only=True):
+    """Antenna of a satellite receiver, above the water when the vehicle has surfaced."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, -0.15)
+    rate_hz: Positive = 5.0
+    latency_s: NonNegative = 0.2
+
+
 class ExternalMount(SensorMount, frozen=True, kw_only=True):
     """What an outside positioning system tracks."""
 
@@ -388,6 +396,7 @@ class Vehicle(Table, frozen=True, kw_only=True):
     depth_sensor: DepthMount = DepthMount()
     dvl: DvlMount = DvlMount()
     altimeter: AltimeterMount = AltimeterMount()
+    gps: GpsMount = GpsMount()
     external_pose: ExternalMount = ExternalMount()
     payload: Annotated[tuple[PayloadTable, ...], msgspec.Meta(max_length=MAX_PAYLOAD)] = ()
     """What it carries beside."""

@@ -14,6 +14,7 @@ from autopilot.core.samples import (
     CameraTiltSample,
     DepthSample,
     ExternalPoseSample,
+    GpsSample,
     HullSample,
     ImuSample,
     LaserSample,
@@ -21,6 +22,7 @@ from autopilot.core.samples import (
     MarkerSighting,
     ObstacleTrack,
     PilotSample,
+    PlanarFixSample,
     PoseSample,
     PowerSample,
     VelocitySample,
@@ -211,6 +213,29 @@ float64 pressure_pa  # absolute, inside the hull; NaN not measured
 float64 temperature_c  # the same
 """,
         estimator=False,
+    ),
+    SampleRow(
+        of=GpsSample,
+        topic="/in/gps",
+        type="Gps",
+        frame="wgs84",
+        fields="""
+float64 lat_deg  # of the antenna
+float64 lon_deg  # the same
+float64 alt_m  # above mean sea level
+float64 sigma_m  # of the horizontal position, each axis, as the receiver says
+""",
+        estimator=False,
+    ),
+    SampleRow(
+        of=PlanarFixSample,
+        topic="/nav/gps",
+        type="PlanarFix",
+        frame="ned",
+        fields="""
+float64[2] pos_ned_m  # north, east of the antenna
+float64 sigma_m  # standard deviation, each axis
+""",
     ),
     SampleRow(
         of=CameraTiltSample,

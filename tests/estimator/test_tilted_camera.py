@@ -1,4 +1,4 @@
-"""A marker camera that is tilted away from where it was calibrated gives no position, however good its pictures look."""
+"""A marker camera tilted away from where it was calibrated gives no position, however good its pictures look."""
 
 import math
 
