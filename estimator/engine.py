@@ -52,6 +52,7 @@ from autopilot.estimator.inertial import (
 from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_gps import START_OFFSET_SIGMA_M
 from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import Moment
@@ -63,7 +64,7 @@ from autopilot.estimator.recalibration import Recalibration
 from autopilot.estimator.refined import refined_map
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.startup import StartUp
-from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, YAW, initial_state
+from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, DEPTH_OFFSET, YAW, initial_state, one
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
 from autopilot.estimator.tilted_camera import TiltedCamera
@@ -221,6 +222,8 @@ class AidedEstimator(Estimator):
         for sample in samples:
             if isinstance(sample, INERTIAL):
                 inertial.append(sample)
+            elif isinstance(sample, PlanarFixSample) and not self._options.gps:
+                continue
             elif type(sample) in self._sources.aid_of:
                 aiding.append(sample)
             elif isinstance(sample, CameraTiltSample) and self._monitors.tilted is not None:
@@ -386,6 +389,7 @@ class AidedEstimator(Estimator):
         state = self._fusion.core.start(x)
         if aid is self._sources.gps:  # metres, while the covariance of the start is that of markers
             state = self._fusion.core.relocate(state, fix.z, fix.noise, np.zeros(3))
+            state = self._fusion.core.reopen(state, one(DEPTH_OFFSET), START_OFFSET_SIGMA_M**2)
             self._sources.gps.agreed_us = fix.t_us
             self._sources.velocity.drift.fixed(fix.t_us, x)
         self._fusion.begin_at(Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, state))

@@ -33,7 +33,8 @@ START_COUNT, START_US = 5, 3_000_000
 """Fixes within so long that must agree with each other before the estimate begins at one of them."""
 START_YAW_SIGMA_RAD = 0.1
 """Of the AHRS's heading, which is all there is: compass, steel nearby, declination."""
-START_DEPTH_SIGMA_M = 0.15
+START_DEPTH_SIGMA_M, START_OFFSET_SIGMA_M = 0.15, 0.03
+"""Of the depth, and of the pressure sensor's zero: it is set at the surface, and nothing else tells the depth."""
 START_SPEED_M_S = 1.0
 """A vehicle that is carried or drifts while it starts."""
 
@@ -107,17 +108,13 @@ class GpsAid(ScalarAid[PlanarFixSample]):
             return False
         p = node.state.p if node.state.p.ndim == 1 else node.state.p.diagonal()
         known_m2, fix_m2 = max(p.item(NORTH), p.item(EAST)), fix.noise.item(0)
-        if known_m2 > KNOWN_FRACTION**2 * fix_m2:
-            due = sample.t_us - self._used_us >= USE_EVERY_US
-            self._used_us = sample.t_us if due else self._used_us
-            return due
         y = fix.z - fix.predicted(node.state.x, node.moment, 1e-6 * (sample.t_us - node.t_us))
         if float(y @ y) <= CHI2_999[2] * (known_m2 + fix_m2):
             self.agreed_us = sample.t_us
-        return False
-
-    def used(self, measurement: Measurement) -> None:
-        self.agreed_us = measurement.t_us
+        if known_m2 <= KNOWN_FRACTION**2 * fix_m2 or sample.t_us - self._used_us < USE_EVERY_US:
+            return False
+        self._used_us = sample.t_us
+        return True
 
     def reopened(self, measurement: Measurement, *, fixed: bool) -> slice | None:
         """See :class:`ScalarAid`: markers and poses know better."""

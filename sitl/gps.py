@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.geodesy import place_from_ned
+from autopilot.core.geodesy import Origin, place_from_ned
 from autopilot.core.samples import GpsSample
 from autopilot.core.vehicle import GpsMount
 from autopilot.sitl.optional_sensors import OptionalSensor, SensedWorld
@@ -20,7 +20,7 @@ class SimGps(OptionalSensor[GpsSample, tuple[float, float]]):
         self, table: GpsSensor, mount: GpsMount, world: SensedWorld, faults: Iterable[Fault], seed: int
     ) -> None:
         super().__init__(table, mount, world, faults, seed)
-        self._origin = world.origin
+        self._origin = world.origin or Origin(lat_deg=0.0, lon_deg=0.0)
         self._slow_m = table.sigma_m * self._rng.standard_normal(2)
         self._keep = math.exp(-1.0 / (self._rate_hz * table.error_time_s))
         self._dry_us: int | None = -round(1e6 * table.acquire_s)

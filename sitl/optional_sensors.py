@@ -27,8 +27,8 @@ class SensedWorld:
     floor_depth_m: float | None = None
     """None = open water."""
     waves: WaveTrain | None = None
-    origin: Origin = Origin(lat_deg=0.0, lon_deg=0.0)
-    """Of the local frame."""
+    origin: Origin | None = None
+    """Of the local frame; None = no sensor needs it."""
 
 
 class OptionalSensor(LossySensor[S], Generic[S, V]):

@@ -218,7 +218,7 @@ float64 temperature_c  # the same
         of=GpsSample,
         topic="/in/gps",
         type="Gps",
-        frame="wgs84",
+        frame="wgs",
         fields="""
 float64 lat_deg  # of the antenna
 float64 lon_deg  # the same

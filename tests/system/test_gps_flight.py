@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
+from autopilot.core.geodesy import place_from_ned
 from autopilot.core.messages import NavHealth, Outputs
+from autopilot.log.reader import open_log
 from autopilot.mavlink.api import FlightMode
+from autopilot.record.estimator_setup import read_setup
+from autopilot.replay.estimator_replay import matches, replay
+from autopilot.replay.service_replay import replay_service
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
@@ -36,6 +40,7 @@ position = "pose"
 sigma_m = {sigma_m}
 
 [sensors.depth]
+bias_m = 0.01
 [sensors.dvl]
 
 [[fault]]
@@ -76,17 +81,44 @@ class Flight:
             if until():
                 return
 
-    def dive(self) -> None:
-        """Arm at the surface, dive to 2 m."""
-        commander = self.session.parts.commander
-        self.run(30.0, lambda: commander.prearm_reasons() == ())
-        assert commander.prearm_reasons() == ()
-        assert commander.arm(force=False).reason == ""
+    def part(self, begin_s: float, end_s: float) -> list[tuple[float, float, float, NavHealth, float]]:
+        return [row for row in self.rows if begin_s < row[0] <= end_s]
 
 
-@pytest.mark.parametrize("sigma_m", [1.5])
-def test_probe(tmp_path: Path, sigma_m: float) -> None:
-    flight = Flight(tmp_path, sigma_m=sigma_m)
+def test_it_begins_by_gps_dives_by_the_velocity_log_and_finds_itself_again(tmp_path: Path) -> None:
+    flight = Flight(tmp_path)
+    commander = flight.session.parts.commander
+    flight.run(10.0)
+    assert commander.prearm_reasons() == ()
+    assert {row[3] for row in flight.part(2.0, 10.0)} == {NavHealth.GOOD}
+    assert 1 <= len(flight.used_us) <= 10, "a hundred fixes are no better than one"
+    assert commander.arm(force=False).reason == ""
+    assert commander.take_off(2.0).reason == ""
     flight.run(20.0)
-    print(flight.rows[:1], flight.rows[-1], len(flight.used_us), flight.texts)
-    print(flight.session.parts.commander.prearm_reasons(), list(FlightMode))
+    below_s = 1e-6 * flight.t_us
+    away = place_from_ned(flight.session.parts.plans.origin, 32.0, -4.0, 2.0)
+    assert commander.go_to(away, None).reason == ""
+    flight.run(60.0)
+    dived = flight.part(below_s, 1e-6 * flight.t_us)
+    assert {row[3] for row in dived} == {NavHealth.DEAD_RECKONING}
+    assert min(row[4] for row in dived) > 1.0
+    assert max(flight.used_us) < 1e6 * below_s, "there is no GPS under water"
+    assert np.hypot(*(flight.session.device.truth.pos_ned_m[:2] - [32.0, -4.0])) < 5.0
+    assert commander.set_mode(FlightMode.SURFACE).reason == ""
+    flight.run(90.0, lambda: not commander.armed)
+    assert not commander.armed
+    flight.run(10.0)
+    assert flight.rows[-1][3] is NavHealth.GOOD, "fixes agree again"
+    assert np.mean([off_m <= sigma_m for _, off_m, sigma_m, *_ in flight.rows]) > 0.95
+    assert not any("disagree" in text for text in flight.texts)
+
+
+def test_a_recorded_flight_by_gps_gives_the_same_bits(tmp_path: Path) -> None:
+    flight = Flight(tmp_path, log=True)
+    flight.run(8.0)
+    flight.session.close()
+    log = open_log(tmp_path / "run.mcap")
+    assert len(log["/in/gps"]) > 30 and len(log["/nav/gps"]) == len(log["/in/gps"])
+    assert [match.topic for match in matches(log, replay(log, read_setup(log))) if not match.same] == []
+    result = replay_service(log)
+    assert result.same, [str(one) for one in result.differences]
