@@ -127,7 +127,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
         0.05,
         10.0,
         "m",
-        "Standard deviation of the position beyond which there is none; for GPS above its own (restart).",
+        "Standard deviation beyond which a position is none; above that of GPS to use it (restart).",
     ),
     _int(
         "EST_SHADOW",

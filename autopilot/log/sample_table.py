@@ -223,7 +223,7 @@ float64 temperature_c  # the same
 float64 lat_deg  # of the antenna
 float64 lon_deg  # the same
 float64 alt_m  # above mean sea level
-float64 sigma_m  # of the horizontal position, each axis, as the receiver says
+float64 sigma_m  # horizontal, each axis
 """,
         estimator=False,
     ),
