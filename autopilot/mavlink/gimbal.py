@@ -27,8 +27,9 @@ TO_SENDER, RELEASED = -2, -3
 
 
 class Gimbal:
-    def __init__(self, ctx: Context, orders: EquipmentOrders) -> None:
-        self._ctx, self._orders = ctx, orders
+    def __init__(self, ctx: Context, orders: EquipmentOrders | None) -> None:
+        """``orders``: None = nothing is carried."""
+        self._ctx, self._carried = ctx, orders
         self._primary = (0, 0)
         """System and component that have asked for control; everybody may tilt all the same."""
 
@@ -40,12 +41,24 @@ class Gimbal:
         }
 
     def table(self) -> Mapping[int, CommandRow]:
+        if self._carried is None:
+            return {}
         return {
             mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: action(self.pitch_yaw),
             mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: action(self.configure),
             mav.MAV_CMD_DO_MOUNT_CONFIGURE: action(self.mount_configure),
             mav.MAV_CMD_DO_MOUNT_CONTROL: action(self.mount_control),
         }
+
+    @property
+    def _orders(self) -> EquipmentOrders:
+        assert self._carried is not None, "commands are in the table only with it"
+        return self._carried
+
+    @property
+    def _ends_rad(self) -> tuple[float, float] | None:
+        """Lower and upper end of the tilt, None without one."""
+        return None if self._carried is None else self._carried.tilt_range_rad
 
     # Commands
 
@@ -94,7 +107,7 @@ class Gimbal:
 
     def manager_information(self) -> Message | None:
         """GIMBAL_MANAGER_INFORMATION: the ends of the tilt."""
-        ends = self._orders.tilt_range_rad
+        ends = self._ends_rad
         if ends is None:
             return None
         return mav.MAVLink_gimbal_manager_information_message(
@@ -103,13 +116,13 @@ class Gimbal:
 
     def manager_status(self) -> Message | None:
         """GIMBAL_MANAGER_STATUS: who has asked for control."""
-        if self._orders.tilt_range_rad is None:
+        if self._ends_rad is None:
             return None
         return mav.MAVLink_gimbal_manager_status_message(self._ctx.boot_ms, 0, DEVICE_ID, *self._primary, 0, 0)
 
     def attitude_status(self) -> Message | None:
         """GIMBAL_DEVICE_ATTITUDE_STATUS: the angle that the tilt has by the pulse at its servo."""
-        angle_rad = self._orders.tilt_rad
+        angle_rad = None if self._carried is None else self._carried.tilt_rad
         if angle_rad is None:
             return None
         q = [math.cos(0.5 * angle_rad), 0.0, math.sin(0.5 * angle_rad), 0.0]

@@ -194,7 +194,7 @@ class MavlinkServer:
         self._telemetry = NavigationMessages(ctx)
         self._sensors = SensorMessages(ctx, self._telemetry)
         self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
-        gimbal = None if equipment is None else Gimbal(ctx, equipment)
+        gimbal = Gimbal(ctx, equipment)
         self._progress = ProgressMessages(ctx, self.missions)
         self._flight = FlightInformation(ctx)
         self._events = Events(ctx)
@@ -210,7 +210,7 @@ class MavlinkServer:
                 **self._telemetry.builders(),
                 **self._sensors.builders(),
                 **self._outputs.builders(),
-                **({} if gimbal is None else gimbal.builders()),
+                **gimbal.builders(),
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
@@ -227,7 +227,7 @@ class MavlinkServer:
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
         }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
-        mount = {} if gimbal is None else gimbal.table()
+        mount = gimbal.table()
         maintenance = Maintenance(ctx, self.parameters)
         table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried, **mount}
         self._camera: CameraComponent | None = None
