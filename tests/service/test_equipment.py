@@ -7,15 +7,20 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
-from service_world import ServiceWorld
+from service_world import ORIGIN, ServiceWorld
 
+from autopilot.command.payload_orders import PayloadOrders
 from autopilot.core.errors import ConfigError
 from autopilot.core.samples import CameraTiltSample, Sample
 from autopilot.core.toml_table import convert
 from autopilot.core.vehicle import PayloadTable
 from autopilot.log.reader import open_log
+from autopilot.mission.decode import ItemRefusedError
+from autopilot.mission.item_types import parse_step
+from autopilot.mission.payload_items import TiltCamera
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
+from tests.plan_items import plain
 
 LIGHTS, GRABBER, RELAY = 0, 1, 2
 """Place in the file of the lbv150, which has them on channels 17, 18 and 19."""
@@ -165,6 +170,23 @@ def test_a_tilt_that_there_is_not_is_refused_in_words(
     assert tilting.command(command, *params) == mav.MAV_RESULT_DENIED
     assert reason in tilting.texts()
     assert tilt_us(tilting) == before
+
+
+def test_mission_items_tilt_the_camera_and_what_it_cannot_reach_is_refused(tilting: TiltWorld) -> None:
+    orders = PayloadOrders(tilting.parts.equipment, None)
+    at_angle = [plain(0, 205, 30.0, 0.0, 0.0, 0.0), plain(0, 1000, 30.0, 0.0, NAN, NAN)]
+    for item in at_angle:
+        tilting.command(mav.MAV_CMD_DO_SET_SERVO, 16, 1500)
+        order = parse_step(item, ORIGIN)
+        assert order == TiltCamera(seq=0, angle_rad=math.radians(30.0))
+        assert orders.refusal(order) == "" and orders.carry_out(tilting.t_us, [order]) == []
+        assert abs(tilt_us(tilting) - 1767) <= 1
+    away = parse_step(plain(0, 205, -90.0, 0.0, 0.0, 0.0), ORIGIN)
+    assert isinstance(away, TiltCamera)
+    assert "use -45 to 45" in orders.refusal(away)
+    for item in (plain(0, 1000, NAN, 0.0, 10.0, NAN), plain(0, 1000, 0.0, 20.0, NAN, NAN)):
+        with pytest.raises(ItemRefusedError):
+            parse_step(item, ORIGIN)
 
 
 def test_repetitions_go_to_and_fro_and_end_where_they_began(world: ServiceWorld) -> None:
