@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.geodesy import Origin, place_from_ned
+from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
+from autopilot.sitl.ardusub_extras import COMMANDS, EXTRA_PARAMETERS, ArduSubExtras
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.thruster_models import OFF_US, wrench_of
@@ -41,12 +42,6 @@ CHANNEL_NUMBERS = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5,
 """RCMAP_..., as it comes."""
 PLANE = 4
 """Motors 1 to 4 lie in the plane."""
-SERVOS, RELAYS = 16, 2
-FREE_FUNCTIONS = (0, 1, *range(51, 67))
-"""SERVOn_FUNCTION that DO_SET_SERVO moves: disabled, manual, RCIN1 to RCIN16."""
-MOUNT_PITCH = 7
-"""SERVOn_FUNCTION of the camera's tilt."""
-
 READ_US = 20_000
 """Channels are read so often."""
 STILL_US = 510_000
@@ -81,11 +76,6 @@ MESSAGE_IDS = {
     132: "DISTANCE_SENSOR",
     24: "GPS_RAW_INT",
 }
-GPS_UP_M, GPS_SIGMA_M, GPS_HZ = 0.15, 1.5, 5.0
-"""Of its receiver: height of the antenna over the centre of gravity, error of each axis, drawn once, and rate."""
-
-MAX_RANGE_M, RANGE_NOISE_M = 50.0, 0.02
-"""Of a sonar altimeter as range finder 1."""
 
 
 def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float]:
@@ -120,18 +110,7 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "BARO1_GND_PRESS": GROUND_PA,
         "BARO2_GND_PRESS": GROUND_PA,
         "BARO_SPEC_GRAV": 1.0,
-        # Lights at outputs 13 and 14, the camera's tilt at 16, as on a vehicle that is sold with a Navigator.
-        **{f"SERVO{n}_FUNCTION": 0.0 for n in range(9, SERVOS + 1)},
-        "SERVO13_FUNCTION": 59.0,
-        "SERVO14_FUNCTION": 60.0,
-        "SERVO16_FUNCTION": float(MOUNT_PITCH),
-        "SERVO16_MIN": 1100.0,
-        "SERVO16_MAX": 1900.0,
-        "RNGFND1_TYPE": 0.0,  # sold separately; 10 = by MAVLink
-        "GPS1_TYPE": 0.0,  # sold separately; 1 = found by itself
-        "MNT1_TYPE": 1.0,
-        "MNT1_PITCH_MIN": -45.0,
-        "MNT1_PITCH_MAX": 45.0,
+        **EXTRA_PARAMETERS,
     }
 
 
@@ -162,7 +141,6 @@ class ArduSubEmulator:
         self._pressure_frd_m = np.array(vehicle.depth_sensor.position_frd_m)
         self.parameters = {**default_parameters(frame, signs), **(parameters or {})}
         """Live: what is written here or by PARAM_SET acts at once."""
-        self._floor_depth_m, self._origin = floor_depth_m, origin
         self.mode = MANUAL
         self.armed = False
         self.wet = False
@@ -171,11 +149,8 @@ class ArduSubEmulator:
         """What its own pre-arm checks find, "" = nothing."""
         self.servos_us = (NEUTRAL_US,) * len(self._rows)
         """What is at the servo rail now."""
-        self.spare_us: dict[int, int] = {}
-        """Pulses that were asked for by command, by output."""
-        self.relays: dict[int, bool] = {}
-        self.tilt_deg = 0.0
-        """Target of mount 1, by command or by its pilot; upwards positive."""
+        self.extras = ArduSubExtras(self._mav, self.parameters, seed, floor_depth_m, origin)
+        """Outputs beside the motors, and sensors that are sold separately."""
         self._shown_armed = False
         self._show_us = 0
         self._channels = [NEUTRAL_US] * 8
@@ -204,7 +179,6 @@ class ArduSubEmulator:
         self.pressure_hz = 10.0
         """So often its pressure sensor is read; between two readings the last is sent again."""
         self._pressure_hpa, self._pressure_us = 0.0, -(1 << 62)
-        self._gps_off_m = GPS_SIGMA_M * self._rng.standard_normal(2)
         self.mute = False
         """Says nothing and hears nothing: a cable that is off."""
 
@@ -423,40 +397,11 @@ class ArduSubEmulator:
             result = 0 if message.param1 == 0.0 else 4
             if result == 0:
                 self._sent_us["HEARTBEAT"] = -(1 << 62)
-        elif message.command == 183:
-            result = self._set_servo(int(message.param1), int(message.param2))
-        elif message.command == 205:
-            result = 0 if message.param7 == 2.0 else 2
-            if result == 0:
-                self.tilt_deg = message.param1
-        elif message.command == 181 and 0 <= message.param1 < RELAYS:
-            self.relays[int(message.param1)] = message.param2 > 0.5
-            result = 0
-        elif message.command == 181:
-            result = 4
+        elif message.command in COMMANDS:
+            result, text = self.extras.order(message)
+            if text:
+                self._text(6, text)
         self._send(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
-
-    def _set_servo(self, number: int, pulse_us: int) -> int:
-        """DO_SET_SERVO; MAV_RESULT."""
-        if round(self.parameters.get(f"SERVO{number}_FUNCTION", -1.0)) not in FREE_FUNCTIONS:
-            self._text(6, f"ServoRelayEvent: Channel {number} is already in use")
-            return 4
-        self.spare_us[number] = pulse_us
-        return 0
-
-    def _rail(self) -> list[int]:
-        """Pulses of all outputs, 0 = off."""
-        rail = [*self.servos_us, *([0] * (SERVOS - len(self.servos_us)))]
-        for number, pulse_us in self.spare_us.items():
-            rail[number - 1] = pulse_us
-        values = self.parameters
-        low_deg, high_deg = values["MNT1_PITCH_MIN"], values["MNT1_PITCH_MAX"]
-        level = (min(max(self.tilt_deg, low_deg), high_deg) - low_deg) / (high_deg - low_deg)
-        for number in range(1, SERVOS + 1):
-            if round(values.get(f"SERVO{number}_FUNCTION", 0.0)) == MOUNT_PITCH:
-                low_us, high_us = values[f"SERVO{number}_MIN"], values[f"SERVO{number}_MAX"]
-                rail[number - 1] = round(low_us + level * (high_us - low_us))
-        return rail
 
     def _send_parameter(self, name: str) -> None:
         if name in self.parameters:
@@ -497,12 +442,12 @@ class ArduSubEmulator:
                     self._pressure_us = t_us
                 self._send(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
             case "SERVO_OUTPUT_RAW":
-                servos = self._rail()
+                servos = self.extras.rail(self.servos_us)
                 self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
-            case "GPS_RAW_INT":
-                self._send_gps(t_us, truth)
-            case "DISTANCE_SENSOR":
-                self._send_range(ms, truth)
+            case "GPS_RAW_INT" | "DISTANCE_SENSOR":
+                found = self.extras.gps(t_us, truth) if name == "GPS_RAW_INT" else self.extras.range(ms, truth)
+                if found is not None:
+                    self._send(found)
             case _:
                 cells = [round(1e3 * truth.voltage_v), *([65535] * 9)]
                 used = round(truth.energy_used_j / 100.0)
@@ -510,28 +455,6 @@ class ArduSubEmulator:
                 self._send(
                     mav.battery_status_encode(0, 0, 1, 32767, cells, round(100.0 * truth.current_a), -1, used, left)
                 )
-
-    def _send_gps(self, t_us: int, truth: Truth) -> None:
-        """GPS_RAW_INT of a receiver whose antenna is on top; under water there is no fix, without one no receiver."""
-        if self._origin is None or self.parameters["GPS1_TYPE"] == 0.0:
-            return
-        north, east, down = truth.pos_ned_m.tolist()
-        off_n, off_e = self._gps_off_m.tolist()
-        dry = down < GPS_UP_M
-        place = place_from_ned(self._origin, north + off_n, east + off_e, down - GPS_UP_M) if dry else None
-        lat, lon, alt = (0.0, 0.0, 0.0) if place is None else (place.lat_deg, place.lon_deg, place.alt_m)
-        read_us = t_us - t_us % round(1e6 / GPS_HZ)
-        where = (round(1e7 * lat), round(1e7 * lon), round(1e3 * alt))
-        accuracy = {"h_acc": round(1e3 * GPS_SIGMA_M)} if dry else {}
-        self._send(self._mav.gps_raw_int_encode(read_us, 3 if dry else 1, *where, 90, 65535, 0, 65535, 12, **accuracy))
-
-    def _send_range(self, ms: int, truth: Truth) -> None:
-        """Range to the floor, straight down: its beam is wide."""
-        if self._floor_depth_m is None or self.parameters["RNGFND1_TYPE"] == 0.0:
-            return
-        range_m = self._floor_depth_m - float(truth.pos_ned_m[2]) + RANGE_NOISE_M * float(self._rng.standard_normal())
-        range_cm = round(100.0 * min(max(range_m, 0.0), MAX_RANGE_M))
-        self._send(self._mav.distance_sensor_encode(ms, 30, round(100.0 * MAX_RANGE_M), range_cm, 2, 0, 25, 0))
 
     def _slow_errors(self, t_us: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         keep = math.exp(-1e-6 * (t_us - self._slow_us) / SLOW_S)

@@ -57,13 +57,13 @@ def test_ardusub_is_asked_until_it_acknowledges_and_a_refusal_is_told() -> None:
         for _ in range(50):
             bench.driver.set_payload(bench.t_us, wanted)
             bench.tick()
-        assert bench.below.spare_us == {} and bench.below.relays == {}, "nothing was changed"
+        assert bench.below.extras.spare_us == {} and bench.below.extras.relays == {}, "nothing was changed"
         wanted = [1500, 1100, 1900, 0]
         for _ in range(200):
             bench.driver.set_payload(bench.t_us, wanted)
             bench.tick()
-        assert bench.below.spare_us == {13: 1500, 9: 1100}
-        assert bench.below.relays == {0: True}
+        assert bench.below.extras.spare_us == {13: 1500, 9: 1100}
+        assert bench.below.extras.relays == {0: True}
         bench.below.mute = True  # the cable is off: what is asked for meanwhile comes later
         for _ in range(300):
             bench.driver.set_payload(bench.t_us, [1600, 1100, 1900, 0])
@@ -72,7 +72,7 @@ def test_ardusub_is_asked_until_it_acknowledges_and_a_refusal_is_told() -> None:
         for _ in range(300):
             bench.driver.set_payload(bench.t_us, [1600, 1100, 1900, 0])
             bench.tick()
-        assert bench.below.spare_us[13] == 1600
+        assert bench.below.extras.spare_us[13] == 1600
     finally:
         bench.close()
 
@@ -81,16 +81,16 @@ def test_ardusub_tilts_its_mount_by_angle_and_reports_whoever_tilts_it() -> None
     bench = Bench()
     try:
         bench.run(1.0)
-        assert bench.below.tilt_deg == 0.0 and seen_tilts(bench)[-1] == 0.0
+        assert bench.below.extras.tilt_deg == 0.0 and seen_tilts(bench)[-1] == 0.0
         for _ in range(50):
             bench.driver.set_payload(bench.t_us, [1100, 1900, 1100, 0])
             bench.tick()
-        assert bench.below.tilt_deg == 0.0, "nobody has asked for it"
+        assert bench.below.extras.tilt_deg == 0.0, "nobody has asked for it"
         for _ in range(100):
             bench.driver.set_payload(bench.t_us, [1100, 1900, 1100, 1300])
             bench.tick()
-        assert bench.below.tilt_deg == -22.5 and seen_tilts(bench)[-1] == -22.5
-        bench.below.tilt_deg = 40.0  # its pilot's buttons
+        assert bench.below.extras.tilt_deg == -22.5 and seen_tilts(bench)[-1] == -22.5
+        bench.below.extras.tilt_deg = 40.0  # its pilot's buttons
         bench.run(0.1)
         assert abs(seen_tilts(bench)[-1] - 40.0) < 0.1
         quiet = len(seen_tilts(bench))

@@ -51,30 +51,30 @@ def sold_fixture(tmp_path: Path) -> Iterator[Sold]:
 
 def test_lights_and_tilt_follow_the_operator(sold: Sold) -> None:
     assert sold.ask(SET_SERVO, LIGHTS, 1500) == 0
-    assert sold.below.spare_us == {LIGHTS: 1500}
+    assert sold.below.extras.spare_us == {LIGHTS: 1500}
     assert sold.ask(SET_RELAY, 0, 1) == 0
-    assert sold.below.relays == {0: True}
+    assert sold.below.extras.relays == {0: True}
     assert sold.ask(PITCH_YAW, -30.0, math.nan, math.nan, math.nan) == 0
-    assert sold.below.tilt_deg == pytest.approx(-30.0, abs=0.1)
+    assert sold.below.extras.tilt_deg == pytest.approx(-30.0, abs=0.1)
     assert sold.ask(MOUNT_CONTROL, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0) == 0
-    assert sold.below.tilt_deg == pytest.approx(20.0, abs=0.1)
+    assert sold.below.extras.tilt_deg == pytest.approx(20.0, abs=0.1)
     assert sold.ask(SET_SERVO, TILT, 1100) == 0
-    assert sold.below.tilt_deg == pytest.approx(-45.0)
+    assert sold.below.extras.tilt_deg == pytest.approx(-45.0)
     assert sold.ask(MOUNT_CONTROL, -60.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0) == 2
-    assert sold.below.tilt_deg == pytest.approx(-45.0), "it has another end"
+    assert sold.below.extras.tilt_deg == pytest.approx(-45.0), "it has another end"
 
 
 def test_what_the_flight_controller_does_not_move_is_told(sold: Sold) -> None:
     sold.below.parameters["SERVO13_FUNCTION"] = 181.0
     assert sold.ask(SET_SERVO, LIGHTS, 1500) == 0
     assert sold.reported("lights: flight controller refuses, see SERVO13_FUNCTION")
-    assert sold.below.spare_us == {}
+    assert sold.below.extras.spare_us == {}
 
 
 def test_what_it_measures_is_in_the_log(tmp_path: Path) -> None:
     tank = Sold(tmp_path)
     tank.below.wet = True
-    tank.below.tilt_deg = 45.0  # its pilot
+    tank.below.extras.tilt_deg = 45.0  # its pilot
     tank.below.parameters["RNGFND1_TYPE"] = 10.0
     tank.tick(300)
     truth = tank.world.truth
