@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.camera_tilt import TiltReports
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Authority, FlightControllerState, Severity
 from autopilot.core.samples import Sample
@@ -54,6 +55,7 @@ MESSAGE_IDS = {
     "SERVO_OUTPUT_RAW": SERVO_ID,
     "DISTANCE_SENSOR": 132,
     "BATTERY_STATUS": 147,
+    "GPS_RAW_INT": 24,
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
 REBOOT_MS = 1000
@@ -100,14 +102,16 @@ class ArduSub(Closing):
             "SERVO_OUTPUT_RAW": SERVO_HZ,
             "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,
             "BATTERY_STATUS": SLOW_HZ,
+            "GPS_RAW_INT": vehicle.gps.rate_hz,
         }
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()
         self._watch = AuthorityWatch()
         self._prearm = PrearmWatch()
-        self.settings = ArduSubSettings(frame.number, frame.motors, options.gcs_system)
-        """Its parameters."""
         self._payload = Passing(vehicle)
+        self.settings = ArduSubSettings(frame.number, frame.motors, options.gcs_system, self._payload.parameters())
+        """Its parameters."""
+        self._tilt = TiltReports(vehicle)
         self._timeout_us = round(1e6 * min(thruster.drive.command_timeout_s for thruster in vehicle.thrusters))
         self._notices: list[tuple[Severity, str]] = []
         self._boot_ms = 0
@@ -220,7 +224,7 @@ class ArduSub(Closing):
             )
             for component in rivals
         )
-        return (*self.settings.advice(), *found)
+        return (*self.settings.advice(), *self._payload.advice(self.settings.values), *found)
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         """Its messages to our operators."""
@@ -237,7 +241,7 @@ class ArduSub(Closing):
         self._payload.want(pulses_us)
         command = self._payload.due(t_us) if self._wire is not None and not self._silent(t_us) else None
         if command is not None:
-            self._open_wire().order(*command)
+            self._open_wire().order(int(command[0]), *command[1:])
 
     def _note_payload(self, text: str) -> None:
         if text and len(self._notices) < MAX_NOTICES:
@@ -270,8 +274,7 @@ class ArduSub(Closing):
                 self._mixer.take(self.settings.values)
             return []
         if kind == "SERVO_OUTPUT_RAW":
-            self._compare(t_us, message)
-            return []
+            return [] if message.port else self._compare(t_us, message)
         if kind == "COMMAND_ACK":
             self._note_payload(self._payload.acknowledge(message))
         self._prearm.take(t_us, message)
@@ -461,8 +464,8 @@ class ArduSub(Closing):
             self._wire.override(NEUTRAL)
             self._rest = 0 if self._watch.authority is Authority.PILOT else self._rest - 1
 
-    def _compare(self, t_us: int, message: Any) -> None:
-        """Compare the reported outputs with the command."""
+    def _compare(self, t_us: int, message: Any) -> list[Sample]:
+        """Compare the reported outputs with the command; the camera's tilt is one of them."""
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
         if self._watch.acts(t_us):
@@ -475,3 +478,6 @@ class ArduSub(Closing):
             )
         else:
             self._senders.skip()
+        tilt = self._vehicle.tilt
+        pulse_us = 0 if tilt is None else getattr(message, f"servo{tilt.channel}_raw", 0)
+        return [*self._tilt.of(t_us, pulse_us)]

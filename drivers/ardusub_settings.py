@@ -5,7 +5,7 @@ sets them in the ground station.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 NAMES_MISSING_AFTER, AT_MOST = 4, 20
@@ -115,14 +115,15 @@ def motor_rules(motors: int) -> tuple[Rule, ...]:
 class ArduSubSettings:
     """Parameters read so far."""
 
-    def __init__(self, frame_number: int, motors: int, ours: int) -> None:
+    def __init__(self, frame_number: int, motors: int, ours: int, more: Sequence[str] = ()) -> None:
+        """``more``: names of others to be read."""
         self._frame_number = frame_number
         self._ours = ours
         self._rules = (*RULES, *motor_rules(motors))
         self.values: dict[str, float] = {}
         directions = [f"MOT_{motor}_DIRECTION" for motor in range(1, motors + 1)]
         rules = (rule.name for rule in self._rules)
-        self._requests = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions), 0)
+        self._requests = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions, *more), 0)
         """Name -> how often it was asked for in vain."""
 
     @property

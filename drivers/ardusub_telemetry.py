@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.device_clock import DeviceClock
-from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, LeakSample, PowerSample, Sample
+from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, GpsSample, LeakSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import G_M_S2
 from autopilot.drivers.link_latency import LinkLatency
@@ -26,6 +26,11 @@ DOWNWARD = 25
 """MAV_SENSOR_ROTATION_PITCH_270."""
 LEAST_QUALITY = 70
 """Per cent (RNGFND_SQ_MIN of ArduSub)."""
+FIX_3D, UNKNOWN_EPH = 3, 65535
+"""GPS_FIX_TYPE_3D_FIX; GPS_RAW_INT.eph without a value."""
+RANGE_ERROR_M = 3.0
+"""Error of one satellite's range (standard positioning service): times the dilution of precision it is the position's,
+where the receiver gives no h_acc."""
 RANGE_SIGMA_M, RANGE_FRACTION = 0.01, 0.005
 """Of a range: it is told in centimetres, a Ping Sonar resolves half a per cent."""
 
@@ -48,6 +53,8 @@ class ArduSubTelemetry:
         self._accel: tuple[int, list[float]] | None = None
         self._pressure: tuple[int, float] = (-AGAIN_US, math.nan)
         """The last one that was passed on."""
+        self._gps_us: int | None = None
+        """Receiver's time of the last fix that was passed on."""
         self._leak_us: int | None = None
         self._leak_reported_us = -LEAK_EVERY_US
         self.supply_v: float | None = None
@@ -68,6 +75,8 @@ class ArduSubTelemetry:
                 return self._depth(t_us, message)
             case "DISTANCE_SENSOR" if message.orientation == DOWNWARD:
                 return self._altimeter(t_us, message)
+            case "GPS_RAW_INT" if message.fix_type >= FIX_3D:
+                return self._gps(t_us, message)
             case "BATTERY_STATUS" if message.id == 0:
                 return self._power(t_us, message)
             case "STATUSTEXT" if "leak detected" in message.text.lower():
@@ -134,6 +143,24 @@ class ArduSubTelemetry:
         sigma_m = math.hypot(RANGE_SIGMA_M, RANGE_FRACTION * range_m)
         confidence = 0.01 * quality if quality else 1.0
         return [AltimeterSample(t_us=taken_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
+
+    def _gps(self, t_us: int, message: Any) -> list[Sample]:
+        """Fix of its receiver; none of unknown accuracy, and none that it has sent before."""
+        sigma_m = 1e-3 * getattr(message, "h_acc", 0)
+        if sigma_m == 0.0 and message.eph != UNKNOWN_EPH:
+            sigma_m = RANGE_ERROR_M * 0.01 * message.eph
+        if sigma_m == 0.0 or message.time_usec == self._gps_us:
+            return []
+        self._gps_us = message.time_usec
+        return [
+            GpsSample(
+                t_us=t_us - round(1e6 * self._vehicle.gps.latency_s),
+                lat_deg=1e-7 * message.lat,
+                lon_deg=1e-7 * message.lon,
+                alt_m=1e-3 * message.alt,
+                sigma_m=sigma_m,
+            )
+        ]
 
     def _power(self, t_us: int, message: Any) -> list[Sample]:
         cells = [cell for cell in message.voltages if cell != 65535]

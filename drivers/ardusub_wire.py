@@ -108,16 +108,15 @@ class Wire:
     def request_time(self, t_us: int) -> None:
         self._send(self._mav.timesync_encode(0, 1000 * t_us))
 
-    def order(self, command: int, first: float, second: float) -> None:
-        self._command(command, first, second)
+    def order(self, command: int, *params: float) -> None:
+        self._command(command, *params)
 
     def read_parameter(self, name: str) -> None:
         self._send(self._mav.param_request_read_encode(self._system, AUTOPILOT, name.encode(), -1))
 
-    def _command(self, command: int, first: float, second: float = 0.0) -> None:
-        self._send(
-            self._mav.command_long_encode(self._system, AUTOPILOT, command, 0, first, second, 0.0, 0.0, 0.0, 0.0, 0.0)
-        )
+    def _command(self, command: int, *params: float) -> None:
+        seven = (*params, *(0.0,) * (7 - len(params)))
+        self._send(self._mav.command_long_encode(self._system, AUTOPILOT, command, 0, *seven))
 
     def _send(self, message: Any) -> None:
         self._link.send(bytes(message.pack(self._mav)))

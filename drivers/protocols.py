@@ -126,7 +126,7 @@ class PayloadOutput(Protocol):
         ...
 
     def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
-        """Pulses of the payload [us], in the order of the vehicle file; called every tick."""
+        """Pulses of the payload [us], in the order of the vehicle file, 0 = as it is; called every tick."""
         ...
 
 

@@ -95,7 +95,7 @@ class SafeThrusterOutput(Closing):
         """Pulses of the payload [us], effective with the next command."""
         for channel, index in self._spare.items():
             output = self.vehicle.payload[index]
-            self._spare_us[channel] = min(max(int(pulses_us[index]), output.min_us), output.max_us)
+            self._spare_us[channel] = min(max(int(pulses_us[index]) or output.start_us, output.min_us), output.max_us)
 
     def open(self) -> None:
         """Open the device and set it to neutral. DriverError or OSError if it cannot be had; it is closed then."""

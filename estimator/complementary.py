@@ -207,7 +207,8 @@ def create_complementary(
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> AidedEstimator:
-    return AidedEstimator(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
+    can = replace(options, current_3d=False, gps=False)
+    return AidedEstimator(ObserverCore(), vehicle, markers, floor_depth_m, can)
 
 
 def of_context(context: EstimatorContext) -> Estimator:

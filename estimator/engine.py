@@ -12,11 +12,23 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavState
-from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSighting, PoseSample, Sample
+from autopilot.core.samples import (
+    AhrsSample,
+    CameraTiltSample,
+    DepthSample,
+    ImuSample,
+    LaserSample,
+    MarkerSighting,
+    PlanarFixSample,
+    PoseSample,
+    Sample,
+)
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.attitude import AttitudeSource
@@ -40,6 +52,7 @@ from autopilot.estimator.inertial import (
 from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_gps import START_OFFSET_SIGMA_M
 from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import Moment
@@ -51,9 +64,10 @@ from autopilot.estimator.recalibration import Recalibration
 from autopilot.estimator.refined import refined_map
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.startup import StartUp
-from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, YAW, initial_state
+from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, DEPTH_OFFSET, YAW, initial_state, one
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
+from autopilot.estimator.tilted_camera import TiltedCamera
 from autopilot.estimator.water import WaterVariation
 
 FIXED = (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED)
@@ -100,6 +114,7 @@ class AidedEstimator(Estimator):
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
             None if markers is None else MapMonitor(markers),
             trust,
+            None if vehicle.tilt is None or vehicle.tilt.camera_deg is None else TiltedCamera(vehicle.tilt),
         )
         self._fixes = Fixes(self._fusion, self._sources, monitors, self._trim)
         self._recalibration = Recalibration(self._fusion, self._sources, self._intake, monitors)
@@ -145,7 +160,7 @@ class AidedEstimator(Estimator):
         health = judge_health(
             newest,
             core,
-            self._sources.fix_age_us(t_us),
+            self._sources.position_age_us(t_us),
             self._options,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             blind=not newest.moment.inertial.real
@@ -213,14 +228,22 @@ class AidedEstimator(Estimator):
         for sample in samples:
             if isinstance(sample, INERTIAL):
                 inertial.append(sample)
+            elif isinstance(sample, PlanarFixSample) and not self._options.gps:
+                continue
             elif type(sample) in self._sources.aid_of:
                 aiding.append(sample)
+            elif isinstance(sample, CameraTiltSample) and self._monitors.tilted is not None:
+                self._monitors.tilted.note(sample)
         if len(inertial) > 1:
             inertial.sort(key=lambda s: s.t_us)
         for given in inertial:
             self._take_inertial(given)
+        tilted = self._monitors.tilted
         for stamped in aiding:
             sample = self._sources.on_our_clock(stamped)
+            of_pictures = tilted is not None and self._sources.aid_of[type(sample)].of_pictures
+            if of_pictures and tilted is not None and not tilted.uses(sample.t_us, now_us):
+                continue
             self._intake.admit(sample, now_us)
             if isinstance(sample, PICTURES):
                 if isinstance(sample, MarkerSighting):
@@ -283,7 +306,7 @@ class AidedEstimator(Estimator):
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
         drift = self._sources.velocity.drift
-        if self._sources.fix_age_us(inertial.t_us) <= ENGINE.alone_after_us:
+        if self._sources.position_age_us(inertial.t_us) <= ENGINE.alone_after_us:
             drift.fixed(inertial.t_us, x)
         elif anchored:
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))
@@ -353,9 +376,16 @@ class AidedEstimator(Estimator):
     # Start-up.
 
     def _try_start(self, until_us: int) -> None:
+        gps = self._sources.gps
         for sample in self._intake.due(until_us):
             aid = self._sources.fix_of.get(type(sample))
             before = [i for i in self._recent if i.t_us <= sample.t_us]
+            if isinstance(sample, DepthSample):
+                gps.note_depth(sample)
+            if isinstance(sample, PlanarFixSample) and before and self._fusion.past is None:
+                surface = gps.first_fix(sample, before[-1])
+                if surface is not None:
+                    self._start(surface, gps, before[-1])
             if aid is None or not before:
                 continue
             fix = aid.first_fix(sample, before[-1])
@@ -365,10 +395,14 @@ class AidedEstimator(Estimator):
     def _start(self, fix: PoseFix, aid: Aid, first: Inertial) -> None:
         """First node at the AHRS sample before the fix, then all AHRS samples since."""
         x = initial_state(fix.z[:3], float(fix.z[3]), wrap_pi(first.ahrs_yaw_rad - float(fix.z[3])))
-        self._fusion.begin_at(
-            Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, self._fusion.core.start(x))
-        )
-        aid.last_fused_us = fix.t_us
+        state = self._fusion.core.start(x)
+        if aid is self._sources.gps:  # metres, while the covariance of the start is that of markers
+            state = self._fusion.core.relocate(state, fix.z, fix.noise, np.zeros(3))
+            state = self._fusion.core.reopen(state, one(DEPTH_OFFSET), START_OFFSET_SIGMA_M**2)
+            self._sources.gps.agreed_us = fix.t_us
+            self._sources.velocity.drift.fixed(fix.t_us, x)
+        self._fusion.begin_at(Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, state))
+        aid.last_fused_us = self._sources.begun_us = fix.t_us
         for inertial in [i for i in self._recent if i.t_us > first.t_us]:
             self._advance(self._fusion.history, inertial)
 

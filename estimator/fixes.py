@@ -38,7 +38,7 @@ ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
 class Fixes:
     def __init__(self, fusion: Fusion, sources: Sources, monitors: Monitors, trim: TiltTrim) -> None:
         self._fusion, self._sources, self._trim = fusion, sources, trim
-        self._evidence, self._imu, self._camera, self._map, _ = monitors
+        self._evidence, self._imu, self._camera, self._map, *_ = monitors
         self._learned_us = -LEARN_EVERY_US
         self._regained_us = -REGAINED_US
         """When the first fix after a gap was used."""

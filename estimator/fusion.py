@@ -12,7 +12,7 @@ from autopilot.estimator.filter_core import FilterCore, Innovation
 from autopilot.estimator.history import History, Node, Reopening
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import Measurement
-from autopilot.estimator.states import INITIAL_SIGMA
+from autopilot.estimator.states import INITIAL_SIGMA, POS
 
 
 class Fusion:
@@ -69,6 +69,7 @@ class Fusion:
             return
         variance = max(miss, _initial_variance(part))
         self.history.forget(node, Reopening(aid.sensor, measurement.t_us, part, variance))
+        self.resets += part.start == POS.start  # the position moves with the next measurement
         aid.reset(self.now_us)
 
     def move(self, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray, forgotten: Iterable[slice]) -> None:

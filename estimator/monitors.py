@@ -11,6 +11,7 @@ from autopilot.estimator.history import Node
 from autopilot.estimator.imu_monitor import ImuMonitor
 from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.monitor import NOTHING, Monitor
+from autopilot.estimator.tilted_camera import TiltedCamera
 
 
 class Monitors(NamedTuple):
@@ -23,6 +24,8 @@ class Monitors(NamedTuple):
     """None without a map."""
     fixes: FixTrust
     """Of the camera's poses."""
+    tilted: TiltedCamera | None
+    """None where the camera is fixed."""
 
     @property
     def all(self) -> tuple[Monitor, ...]:

@@ -13,6 +13,8 @@ class EstimatorOptions:
     """False: no current, as an estimator without a vehicle model has to do."""
     current_3d: bool = False
     """True: the vertical current is a state (Kalman filter only), found from heave thrust and a water-locked DVL."""
+    gps: bool = True
+    """False: fixes of GPS are passed over. The observer always does: it cannot find a velocity by fixes of metres."""
     dead_reckoning_after_s: float = 1.0
     """Time without a fix after which the estimate is called dead reckoning."""
     invalid_after_s: float = 5.0

@@ -12,6 +12,7 @@ from autopilot.estimator.aiding import Aid, ScalarAid
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_external import ExternalAid
+from autopilot.estimator.measure_gps import GpsAid
 from autopilot.estimator.measure_heading import HeadingAid
 from autopilot.estimator.measure_laser import LaserAid
 from autopilot.estimator.measure_markers import MarkersAid
@@ -42,6 +43,9 @@ class Sources:
             self.external,
         )
         """In the order of their counts."""
+        self.gps = next(aid for aid in self.all if isinstance(aid, GpsAid))
+        self.begun_us: int | None = None
+        """Time of the fix that the estimate began at."""
         self.fixes = tuple(aid for aid in self.all if isinstance(aid, FixAid))
         self.fix_of: dict[type, FixAid[Any]] = {kind: aid for aid in self.fixes for kind in aid.samples}
         """Kind of sample -> who makes a pose of it,"""
@@ -53,16 +57,22 @@ class Sources:
 
     @property
     def newest_fix_us(self) -> int | None:
-        """Time of validity of the newest fix that has been used, None before the first."""
+        """Time of validity of the newest fix that has been used, of GPS only the first; None before any."""
         markers_us, external_us = self.markers.last_fused_us, self.external.last_fused_us
         if markers_us is None or external_us is None:
-            return external_us if markers_us is None else markers_us
+            found_us = external_us if markers_us is None else markers_us
+            return self.begun_us if found_us is None else found_us
         return max(markers_us, external_us)
 
     def fix_age_us(self, t_us: int) -> int:
         """Age of the newest used fix at ``t_us`` [us]; needs at least one since the start."""
         newest_us = self.newest_fix_us
         return 0 if newest_us is None else t_us - newest_us
+
+    def position_age_us(self, t_us: int) -> int:
+        """The same with fixes of GPS, used or agreeing."""
+        age_us, gps_us = self.fix_age_us(t_us), self.gps.agreed_us
+        return age_us if gps_us is None else min(age_us, t_us - gps_us)
 
     def in_gap(self, t_us: int) -> bool:
         """Whether no fix has been used for so long that the estimate is dead reckoning."""

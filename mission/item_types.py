@@ -127,6 +127,12 @@ _ROWS = (
         payload_items.set_actuator,
         "p1 to p4 actuators 1 to 4, -1 to 1, NaN = unchanged; z 1 = actuators 7 to 10",
     ),
+    ItemType(
+        Command.DO_MOUNT_CONTROL, payload_items.mount_control, "p1 camera tilt [deg], up positive; z 2 (1 = its start)"
+    ),
+    ItemType(
+        Command.DO_GIMBAL_MANAGER_PITCHYAW, payload_items.gimbal_pitch, "p1 camera tilt [deg], up positive; p2 yaw 0"
+    ),
     *(
         ItemType(command, payload_items.refused(why), f"refused: {why}")
         for command, why in (
@@ -135,9 +141,7 @@ _ROWS = (
             (Command.SET_CAMERA_ZOOM, "the camera has no zoom"),
             (Command.SET_CAMERA_FOCUS, "the camera has no focus"),
             (Command.DO_DIGICAM_CONFIGURE, "the camera has nothing to configure"),
-            (Command.DO_MOUNT_CONFIGURE, "the camera is fixed"),
-            (Command.DO_MOUNT_CONTROL, "the camera is fixed"),
-            (Command.DO_GIMBAL_MANAGER_PITCHYAW, "the camera is fixed"),
+            (Command.DO_MOUNT_CONFIGURE, "the tilt has nothing to configure"),
         )
     ),
 )

@@ -1,4 +1,4 @@
-"""Mission items for the payload: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
+"""Mission items for the payload: camera, its tilt, servos, relays, gripper (MAV_CMD, common.xml)."""
 
 import math
 from collections.abc import Callable
@@ -11,6 +11,8 @@ from autopilot.mission.items import Order, Step
 
 GRIPPER_ACTIONS = (0, 1)
 """Open, close."""
+MOUNT_BY_ANGLE = 2.0
+"""MAV_MOUNT_MODE_MAVLINK_TARGETING."""
 STILLS_MODES = (0, 2)
 """CAMERA_MODE_IMAGE, CAMERA_MODE_IMAGE_SURVEY."""
 
@@ -71,6 +73,14 @@ class MoveActuators(Order):
     """Actuators by number, -1 to 1 (DO_SET_ACTUATOR)."""
 
     values: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TiltCamera(Order):
+    """The camera's tilt (DO_MOUNT_CONTROL, DO_GIMBAL_MANAGER_PITCHYAW)."""
+
+    angle_rad: float | None
+    """Against the body, upwards positive; None = its start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,6 +185,25 @@ def set_actuator(item: PlanItem, origin: Origin) -> Step:
         if value is not None:
             values.append((int(group) * 6 + index, value))
     return MoveActuators(seq=item.seq, values=tuple(values))
+
+
+def mount_control(item: PlanItem, origin: Origin) -> Step:
+    """DO_MOUNT_CONTROL: p1 angle [deg], p7 mode 2 (angle), 0 or 1 (its start)."""
+    if item.z in (0.0, 1.0):
+        return TiltCamera(seq=item.seq, angle_rad=None)
+    if item.z != MOUNT_BY_ANGLE and not math.isnan(item.z):
+        raise refuse(item, MissionResult.INVALID_PARAM7, f"mode (param7) is {item.z:g}; use 2 = angle, 1 = neutral")
+    return TiltCamera(seq=item.seq, angle_rad=math.radians(number(item, 1, "angle") or 0.0))
+
+
+def gimbal_pitch(item: PlanItem, origin: Origin) -> Step:
+    """DO_GIMBAL_MANAGER_PITCHYAW: p1 angle [deg], p2 yaw 0."""
+    angle_deg = number(item, 1, "angle")
+    if angle_deg is None:
+        raise refuse(item, MissionResult.INVALID_PARAM1, "angle (param1) is missing; the camera takes no rate")
+    if number(item, 2, "yaw"):
+        raise wrong(item, 2, "yaw", "the camera does not pan, use 0")
+    return TiltCamera(seq=item.seq, angle_rad=math.radians(angle_deg))
 
 
 def refused(why: str) -> Callable[[PlanItem, Origin], Step]:

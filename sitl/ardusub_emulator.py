@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
+from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
+from autopilot.sitl.ardusub_extras import COMMANDS, EXTRA_PARAMETERS, ArduSubExtras
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.thruster_models import OFF_US, wrench_of
@@ -40,8 +42,6 @@ CHANNEL_NUMBERS = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5,
 """RCMAP_..., as it comes."""
 PLANE = 4
 """Motors 1 to 4 lie in the plane."""
-SERVOS, RELAYS = 16, 2
-
 READ_US = 20_000
 """Channels are read so often."""
 STILL_US = 510_000
@@ -63,6 +63,8 @@ DEFAULT_RATES_HZ = {
     "SCALED_PRESSURE2": 2.0,
     "SERVO_OUTPUT_RAW": 2.0,
     "BATTERY_STATUS": 3.0,
+    "DISTANCE_SENSOR": 3.0,
+    "GPS_RAW_INT": 2.0,
 }
 MESSAGE_IDS = {
     1: "SYS_STATUS",
@@ -71,6 +73,8 @@ MESSAGE_IDS = {
     137: "SCALED_PRESSURE2",
     36: "SERVO_OUTPUT_RAW",
     147: "BATTERY_STATUS",
+    132: "DISTANCE_SENSOR",
+    24: "GPS_RAW_INT",
 }
 
 
@@ -106,6 +110,7 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "BARO1_GND_PRESS": GROUND_PA,
         "BARO2_GND_PRESS": GROUND_PA,
         "BARO_SPEC_GRAV": 1.0,
+        **EXTRA_PARAMETERS,
     }
 
 
@@ -120,6 +125,8 @@ class ArduSubEmulator:
         seed: int = 0,
         directions: Sequence[int] | None = None,
         parameters: dict[str, float] | None = None,
+        floor_depth_m: float | None = None,
+        origin: Origin | None = None,
     ) -> None:
         """``directions``: MOT_n_DIRECTION as this vehicle needs them, 1 for all by default."""
         from pymavlink.dialects.v20 import ardupilotmega
@@ -142,9 +149,8 @@ class ArduSubEmulator:
         """What its own pre-arm checks find, "" = nothing."""
         self.servos_us = (NEUTRAL_US,) * len(self._rows)
         """What is at the servo rail now."""
-        self.spare_us: dict[int, int] = {}
-        """Pulses that were asked for by command, by output."""
-        self.relays: dict[int, bool] = {}
+        self.extras = ArduSubExtras(self._mav, self.parameters, seed, floor_depth_m, origin)
+        """Outputs beside the motors, and sensors that are sold separately."""
         self._shown_armed = False
         self._show_us = 0
         self._channels = [NEUTRAL_US] * 8
@@ -393,14 +399,10 @@ class ArduSubEmulator:
             result = 0 if message.param1 == 0.0 else 4
             if result == 0:
                 self._sent_us["HEARTBEAT"] = -(1 << 62)
-        elif message.command == 183 and len(self._rows) < message.param1 <= SERVOS:
-            self.spare_us[int(message.param1)] = int(message.param2)
-            result = 0
-        elif message.command == 181 and 0 <= message.param1 < RELAYS:
-            self.relays[int(message.param1)] = message.param2 > 0.5
-            result = 0
-        elif message.command in (181, 183):
-            result = 4
+        elif message.command in COMMANDS:
+            result, text = self.extras.order(message)
+            if text:
+                self._text(6, text)
         self._send(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
 
     def _send_parameter(self, name: str) -> None:
@@ -442,8 +444,12 @@ class ArduSubEmulator:
                     self._pressure_us = t_us
                 self._send(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
             case "SERVO_OUTPUT_RAW":
-                servos = (*self.servos_us, *([0] * (16 - len(self.servos_us))))
+                servos = self.extras.rail(self.servos_us)
                 self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
+            case "GPS_RAW_INT" | "DISTANCE_SENSOR":
+                found = self.extras.gps(t_us, truth) if name == "GPS_RAW_INT" else self.extras.range(ms, truth)
+                if found is not None:
+                    self._send(found)
             case _:
                 cells = [round(1e3 * truth.voltage_v), *([65535] * 9)]
                 used = round(truth.energy_used_j / 100.0)

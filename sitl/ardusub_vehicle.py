@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.ardusub_emulator import ArduSubEmulator
 from autopilot.sitl.plant import Truth
@@ -24,7 +25,10 @@ class ArduSubVehicle:
         """``more``: keyword arguments of the emulator."""
         self._vehicle = vehicle
         self._plant = create_plant(scenario.plugins.plant, PlantContext(scenario=scenario, vehicle=vehicle, seed=seed))
-        self.controller = ArduSubEmulator(vehicle, frame, seed=seed, **more)
+        depth_m = None if scenario.tank is None else scenario.tank.depth_m
+        place = scenario.origin
+        origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
+        self.controller = ArduSubEmulator(vehicle, frame, seed=seed, floor_depth_m=depth_m, origin=origin, **more)
         """The flight controller."""
         self._mav: Any = self.controller.codec(ARDUSUB_VEHICLE.tracker_system, ARDUSUB_VEHICLE.tracker_component)
         self._rng = np.random.default_rng((seed, 71))

@@ -4,7 +4,9 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Literal, Protocol
 
+from autopilot.core.camera_tilt import TiltReports
 from autopilot.core.errors import ConfigError
+from autopilot.core.geodesy import Origin
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import FlightControllerState
 from autopilot.core.samples import CameraFrame, PowerSample, Sample
@@ -170,7 +172,9 @@ class SimulatedVehicle(Closing):
         if not self._obstacles.blind:
             self._observers.append(self._obstacles)
         depth_m = None if scenario.tank is None else scenario.tank.depth_m
-        world = SensedWorld(floor_depth_m=depth_m, waves=wave_train(scenario.waves, depth_m))
+        place = scenario.origin
+        origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
+        world = SensedWorld(floor_depth_m=depth_m, waves=wave_train(scenario.waves, depth_m), origin=origin)
         self._optional = optional_sensors(sensors, vehicle, world, faults, seed)
         self._hull = SimHullSensor(sensors.hull, faults) if sensors.hull.enabled else None
         if self._hull is not None:
@@ -189,6 +193,11 @@ class SimulatedVehicle(Closing):
                 pictures.paced = paced
             self._observers.append(pictures)
             self.markers = build_markers(scenario)
+        self._tilt_reports = TiltReports(vehicle)
+        self._tilted: CameraFeed | SimPoseSensor | None = None
+        """The camera that tilts with the payload; one in a process of its own does not."""
+        if vehicle.tilt is not None and vehicle.tilt.camera_deg is not None:
+            self._tilted = pictures if isinstance(pictures, CameraFeed) else self._pose
         self._due_us = 0
         own: tuple[FaultySensor | None, ...] = (pictures, self._pose, self._hull, *self._optional)
         self._faulty = [sensor for sensor in own if sensor is not None]
@@ -267,6 +276,8 @@ class SimulatedVehicle(Closing):
         """Advance the plant to ``t_us`` with the last pulses; every sensor samples at its own times."""
         self.output.check(t_us)
         self.payload.advance(t_us)
+        if self._tilted is not None:
+            self._tilted.tilt(self.payload.camera_off_rad)
         while self._due_us <= t_us:
             due_us = self._due_us
             self._move(due_us)
@@ -285,6 +296,7 @@ class SimulatedVehicle(Closing):
         for sensor in (self._obstacles, *self._optional, self._hull):
             if sensor is not None:
                 samples.extend(sensor.poll(t_us))
+        samples.extend(self._tilt_reports.of_outputs(t_us, self.payload.pulses_us))
         return tuple(samples)
 
     def frames(self, t_us: int) -> list[CameraFrame]:

@@ -61,6 +61,10 @@ class CameraFeed(LossySensor[CameraFrame]):
             self._worker = None
             self._rendered.clear()
 
+    def tilt(self, off_rad: float) -> None:
+        """How far the camera is tilted upwards from where it was calibrated, from now on."""
+        self._faults.tilt(off_rad)
+
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
         if isinstance(fault, CameraPicture):

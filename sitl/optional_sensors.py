@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from autopilot.core.geodesy import Origin
 from autopilot.core.samples import Sample
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
@@ -26,6 +27,8 @@ class SensedWorld:
     floor_depth_m: float | None = None
     """None = open water."""
     waves: WaveTrain | None = None
+    origin: Origin | None = None
+    """Of the local frame; None = no sensor needs it."""
 
 
 class OptionalSensor(LossySensor[S], Generic[S, V]):

@@ -48,6 +48,10 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         self._faults = OpticalFaults(faults)
         self._pictures = PictureFaults(faults)
 
+    def tilt(self, off_rad: float) -> None:
+        """How far the camera is tilted upwards from where it was calibrated, from now on."""
+        self._faults.tilt(off_rad)
+
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
         return self._pictures.add(fault) or super().add(fault)

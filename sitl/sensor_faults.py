@@ -66,10 +66,17 @@ class OpticalFaults:
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._faults = [fault for fault in faults if isinstance(fault, LensFault | Mounting | MarkersMoved)]
+        self._tilt: Mounting | None = None
+
+    def tilt(self, off_rad: float) -> None:
+        """Tilt the camera upwards from where it was calibrated; it turns about itself, by whole degrees."""
+        degrees = round(math.degrees(off_rad))
+        self._tilt = Mounting(at_s=0.0, rpy_rad=(0.0, math.radians(degrees), 0.0)) if degrees else None
 
     def camera_at(self, t_us: int) -> tuple[LensFault | Mounting, ...]:
         """Faults of the camera itself that hold then."""
-        return tuple(f for f in self._faults if isinstance(f, LensFault | Mounting) and f.holds(t_us))
+        own = tuple(f for f in self._faults if isinstance(f, LensFault | Mounting) and f.holds(t_us))
+        return own if self._tilt is None else (*own, self._tilt)
 
     def seen(self, truth: Truth) -> Truth:
         """Apparent pose of the vehicle if the displaced markers were at their mapped positions."""
@@ -86,7 +93,7 @@ class OpticalFaults:
 
     def pose(self, truth: Truth, camera_frd_m: FloatArray, floor_depth_m: float | None) -> tuple[FloatArray, float]:
         """Position (3,) and heading that pictures would give, without noise."""
-        if not self._faults:
+        if not self._faults and self._tilt is None:
             return truth.pos_ned_m, float(truth.rpy_rad[2])
         truth = self.seen(truth)
         position, yaw = truth.pos_ned_m, float(truth.rpy_rad[2])

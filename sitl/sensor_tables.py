@@ -10,7 +10,7 @@ import msgspec
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
 from autopilot.core.vehicle import Port
 
-OptionalName = Literal["depth", "dvl", "altimeter"]
+OptionalName = Literal["depth", "dvl", "altimeter", "gps"]
 """Sensors that a scenario may have or not."""
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -198,6 +198,26 @@ class AltimeterSensor(Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
+class GpsSensor(Table, frozen=True, kw_only=True):
+    """``[sensors.gps]``: a satellite receiver, for the surface; without the table there is none. Defaults: a single
+    frequency receiver without corrections, all assumed."""
+
+    rate_hz: Positive | None = None
+    """None = as the vehicle file."""
+    latency_s: NonNegative | None = None
+    """None = as the vehicle file."""
+    latency_jitter_s: NonNegative = 0.02
+    sigma_m: NonNegative = 1.5
+    """Standard deviation of the slow (Gauss-Markov) error, each axis."""
+    error_time_s: Positive = 60.0
+    noise_m: NonNegative = 0.2
+    """White, each axis."""
+    acquire_s: NonNegative = 3.0
+    """From surfacing to the first fix."""
+    drop_probability: Probability = 0.02
+    outages: Outages = Outages()
+
+
 class HullSensor(Table, frozen=True, kw_only=True):
     """``[sensors.hull]``: leak probe, pressure and temperature inside the hull, twice per second."""
 
@@ -220,6 +240,7 @@ class Sensors(Table, frozen=True, kw_only=True):
     depth: DepthSensor | None = None
     dvl: DvlSensor | None = None
     altimeter: AltimeterSensor | None = None
+    gps: GpsSensor | None = None
 
 
 class ImageModel(Table, frozen=True, kw_only=True):

@@ -14,13 +14,16 @@ from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.constraints.tracks import Tracks
 from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
+from autopilot.core.camera_tilt import tilt_problem
 from autopilot.core.geometry import Fence
 from autopilot.core.laser_dot import dot_range
 from autopilot.core.messages import Event, FlightControllerState, Inputs
+from autopilot.core.operator_messages import OperatorText
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
     AltimeterSample,
+    CameraTiltSample,
     ImuSample,
     LaserSample,
     MarkerSighting,
@@ -57,6 +60,7 @@ class Environment:
         self.sensed = Sensed()
         """The newest of each sensor."""
         self.status.floor.mount("altimeter", vehicle.altimeter.position_frd_m, vehicle.altimeter.direction_frd)
+        self._tilt = vehicle.tilt
         if vehicle.laser is not None:
             self.status.floor.mount("laser", vehicle.laser.position_frd_m, vehicle.laser.direction_frd)
         with_laser = vehicle.camera is not None and vehicle.laser is not None
@@ -132,12 +136,17 @@ class Environment:
             self.status.floor.note("altimeter", t_us, sample.range_m)
         elif not isinstance(sample, MarkerSighting):
             sensed.newest[type(sample)] = sample
-        elif sample.laser_px is not None and self._camera is not None:
+        elif sample.laser_px is not None and self._camera is not None and self.tilt_problem is None:
             shown = sensed.of(LaserSample)
             if shown is None or t_us - shown.t_us >= ENVIRONMENT.range_us:
                 found = dot_range(self._camera, sample.laser_px)
                 if found is not None:
                     self._show_laser(t_us, LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1]))
+
+    @property
+    def tilt_problem(self) -> OperatorText | None:
+        """Why the camera's pictures are not used, None while they are."""
+        return tilt_problem(self._tilt, self.sensed.of(CameraTiltSample), self._t_us)
 
     def _show_laser(self, t_us: int, sample: LaserSample) -> None:
         self.sensed.newest[LaserSample] = sample

@@ -16,6 +16,7 @@ from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 MIN_CYCLE_S = 0.1
 """Nothing that is made for it wears out by a repetition."""
 MAX_REPEATS = 10_000
+NO_TILT = "There is no gimbal: the camera is fixed"
 
 
 @dataclass(slots=True)
@@ -37,7 +38,9 @@ class Equipment:
         self.outputs = vehicle.payload
         self._thrusters = {thruster.channel: thruster.name for thruster in vehicle.thrusters}
         self._unwired: Mapping[str, str] = {}
-        self._pulses_us = [output.start_us for output in self.outputs]
+        self._pulses_us = [0 if output.kind == "tilt" else output.start_us for output in self.outputs]
+        self._tilt_rad: float | None = None
+        """As it is reported."""
         self._repeats: dict[int, _Repeat] = {}
         self._t_us = 0
 
@@ -76,6 +79,40 @@ class Equipment:
         index = self._of_actuator(number)
         return f"There is no actuator {number} on this vehicle" if index is None else self._problem(index)
 
+    def refuse_tilt(self, angle_rad: float | None = None) -> str:
+        """Why the camera cannot be tilted, or not to an angle [rad, upwards positive]; "" when it can."""
+        index = self._of_tilt()
+        if index is None:
+            return NO_TILT
+        output = self.outputs[index]
+        if angle_rad is not None and not output.reaches(angle_rad):
+            low_deg, high_deg = sorted((output.min_deg, output.max_deg))
+            return f"{output.name}: {math.degrees(angle_rad):.1f} deg, use {low_deg:g} to {high_deg:g}"
+        return self._problem(index)
+
+    @property
+    def tilt_rad(self) -> float | None:
+        """Angle of the camera's tilt, upwards positive; None without one, and while nobody knows it."""
+        index = self._of_tilt()
+        if index is None or self._problem(index):
+            return None
+        pulse_us = self._pulses_us[index]
+        ordered_rad = self.outputs[index].angle_rad(pulse_us) if pulse_us else None
+        return ordered_rad if self._tilt_rad is None else self._tilt_rad
+
+    @property
+    def tilt_range_rad(self) -> tuple[float, float] | None:
+        """Ends of the tilt, lower and upper; None without one."""
+        index = self._of_tilt()
+        if index is None:
+            return None
+        low_deg, high_deg = sorted((self.outputs[index].min_deg, self.outputs[index].max_deg))
+        return math.radians(low_deg), math.radians(high_deg)
+
+    def note_tilt(self, angle_rad: float | None) -> None:
+        """What the tilt has been reported to be; None = nothing."""
+        self._tilt_rad = angle_rad
+
     @property
     def thruster_channels(self) -> tuple[int, ...]:
         """Output of each thruster, in the order of the vehicle file."""
@@ -113,7 +150,8 @@ class Equipment:
         refusal = self._pulse_refusal(index, pulse_us) or _cycle_refusal(count, cycle_s)
         if refusal:
             return _denied(refusal)
-        return self._repeat(index, (round(pulse_us), self._pulses_us[index]), count, cycle_s)
+        back_us = self._pulses_us[index] or self.outputs[index].start_us
+        return self._repeat(index, (round(pulse_us), back_us), count, cycle_s)
 
     def set_relay(self, number: int, *, on: bool) -> CommandReply:
         refusal = self.refuse_relay(number)
@@ -171,6 +209,29 @@ class Equipment:
             self._put(index, self._pulse_us(index, level))
         return ACCEPTED
 
+    def tilt(self, angle_rad: float) -> CommandReply:
+        """Tilt the camera to an angle against the body, upwards positive."""
+        refusal = self.refuse_tilt(angle_rad)
+        index = self._of_tilt()
+        if refusal or index is None:
+            return _denied(refusal)
+        return self._put(index, self.outputs[index].tilt_us(angle_rad))
+
+    def tilt_by(self, step_rad: float | None) -> CommandReply:
+        """Tilt the camera up or down by a step, at most to its end; None = to its start, its middle as a rule."""
+        index = self._of_tilt()
+        if index is None:
+            return _denied(NO_TILT)
+        output = self.outputs[index]
+        start_rad = output.angle_rad(output.start_us)
+        if step_rad is None:
+            return self.tilt(start_rad)
+        pulse_us = self._pulses_us[index]
+        ordered_rad = output.angle_rad(pulse_us) if pulse_us else self.tilt_rad
+        low_deg, high_deg = sorted((output.min_deg, output.max_deg))
+        wanted_rad = (start_rad if ordered_rad is None else ordered_rad) + step_rad
+        return self.tilt(min(max(wanted_rad, math.radians(low_deg)), math.radians(high_deg)))
+
     # One tick
 
     def step(self, t_us: int) -> PayloadState | None:
@@ -220,7 +281,8 @@ class Equipment:
 
     def _level(self, index: int) -> float:
         output = self.outputs[index]
-        return (self._pulses_us[index] - output.min_us) / (output.max_us - output.min_us)
+        pulse_us = self._pulses_us[index] or output.start_us
+        return (pulse_us - output.min_us) / (output.max_us - output.min_us)
 
     def _is_on(self, index: int) -> bool:
         output = self.outputs[index]
@@ -237,7 +299,10 @@ class Equipment:
         return _nth(self.outputs, max(number, 1), ("gripper",))
 
     def _of_actuator(self, number: int) -> int | None:
-        return _nth(self.outputs, number, ("servo", "gripper", "light"))
+        return _nth(self.outputs, number, ("servo", "gripper", "light", "tilt"))
+
+    def _of_tilt(self) -> int | None:
+        return _nth(self.outputs, 1, ("tilt",))
 
     def _known(self, key: str) -> str:
         known = [str(value) for output in self.outputs if (value := getattr(output, key)) is not None]

@@ -123,6 +123,7 @@ class FailsafeRules:
             reasons.append(ArmingReason("AHRS is silent or frozen: check cable and port", HealthComponent.AHRS))
         if status.nav is None or status.nav.health is not NavHealth.GOOD:
             remedy = "markers must be in view" if self._failsafe_inputs.has_markers else POSE_REMEDY
+            remedy = status.camera_problem or remedy
             text = f"{'no position yet' if status.nav is None else 'position is not good'}: {remedy}"
             reasons.append(ArmingReason(text, HealthComponent.POSITION, ALL_MODES & ~ModeGroup.POSITIONLESS))
         if NavDoubt.ACCELEROMETER in status.nav_doubts or NavDoubt.GYRO in status.nav_doubts:

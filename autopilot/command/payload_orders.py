@@ -21,6 +21,7 @@ from autopilot.mission.payload_items import (
     ShootEvery,
     StopShooting,
     SwitchRelay,
+    TiltCamera,
 )
 
 NO_CAMERA = "no camera here, no photos"
@@ -46,6 +47,8 @@ class PayloadOrders:
             case MoveActuators():
                 refusals = [equipment.refuse_actuator(number) for number, value in order.values if value != 0.0]
                 return next((refusal for refusal in refusals if refusal), "")
+            case TiltCamera():
+                return equipment.refuse_tilt(order.angle_rad)
         return ""
 
     def carry_out(self, t_us: int, orders: Sequence[Order]) -> list[Event]:
@@ -77,6 +80,8 @@ class PayloadOrders:
             case MoveActuators():
                 meant = {n: value for n, value in order.values if value != 0.0 or not equipment.refuse_actuator(n)}
                 return equipment.set_actuators(meant)
+            case TiltCamera():
+                return equipment.tilt_by(None) if order.angle_rad is None else equipment.tilt(order.angle_rad)
         return ACCEPTED
 
     def _camera(self, order: Shoot | ShootEvery | StopShooting | NothingToDo) -> CommandReply:

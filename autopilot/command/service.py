@@ -17,6 +17,7 @@ from autopilot.command.decision import Decision
 from autopilot.command.environment import Environment
 from autopilot.command.estimation import Estimated, Estimation
 from autopilot.command.fault_response import FaultResponse
+from autopilot.command.gps_fixes import GpsFixes
 from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.service_parts import ServiceParts
 from autopilot.core.clients import ClientRecord
@@ -42,7 +43,7 @@ from autopilot.core.messages import (
     ThrusterHealthState,
 )
 from autopilot.core.payload import PayloadState
-from autopilot.core.samples import ExternalPoseSample
+from autopilot.core.samples import CameraTiltSample, ExternalPoseSample, PlanarFixSample
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import VehicleView
 
@@ -56,7 +57,7 @@ class TickState:
     """A fifth tick: clients are served and decisions are taken."""
     acting_n: FloatArray
     """(n,) what sound thrusters give of the thrust that acts now."""
-    poses: tuple[ExternalPoseSample, ...] = ()
+    poses: tuple[ExternalPoseSample | PlanarFixSample, ...] = ()
     given: EstimatorInputs | None = None
     estimated: Estimated | None = None
     nav: NavState | None = None
@@ -113,6 +114,7 @@ class Autopilot:
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
         parts.plans.order_check = self._orders.refusal
+        self._gps = GpsFixes(parts.commander.set_origin)
         self._order_events: list[Event] = []
         """Results of payload orders, for the operator."""
         self._given: Inputs | None = None
@@ -296,7 +298,9 @@ class Autopilot:
         tick.acting_n = self._actuation.send(tick.inputs.t_us)
 
     def _take_poses(self, tick: TickState) -> None:
-        tick.poses = self._parts.server.take_samples()
+        inputs, commander = tick.inputs, self._parts.commander
+        surface = self._gps.take(inputs.samples, self._parts.plans.origin, self.nav, armed=commander.armed)
+        tick.poses = (*self._parts.server.take_samples(), *surface)
 
     def _take_tracks(self, tick: TickState) -> None:
         """Obstacles and vehicles that clients have reported."""
@@ -392,6 +396,8 @@ class Autopilot:
         status.path_left_m = motion.path_left_m
         status.nav_disagrees = shadow is not None and shadow.disagrees
         status.nav_doubts = estimated.doubts
+        tilted = environment.tilt_problem
+        status.camera_problem = "" if tilted is None else tilted.text
         status.thruster_effectiveness = actuation.effectiveness_values
         status.thrusters_doubtful = actuation.doubtful_thrusters
         status.thruster_problem = environment.thruster_problem or actuation.problem
@@ -517,7 +523,9 @@ class Autopilot:
         self._unsent += self._events
 
     def _step_equipment(self, tick: TickState) -> None:
-        tick.payload = self._parts.equipment.step(tick.inputs.t_us)
+        equipment, shown = self._parts.equipment, self._environment.sensed.of(CameraTiltSample)
+        equipment.note_tilt(None if shown is None else shown.angle_rad)
+        tick.payload = equipment.step(tick.inputs.t_us)
 
     def _take_notices(self, tick: TickState) -> None:
         tick.notices = self._parts.server.take_notices()
@@ -534,6 +542,7 @@ class Autopilot:
         photographer = self._parts.photographer
         events, self._order_events = self._order_events, []
         events += () if photographer is None else photographer.take_events()
+        events += self._gps.take_events()
         return events + self._environment.take_events() + self._estimation.take_remarks() + self._faults.take_events()
 
     def _mode_state(self, t_us: int, *, armed: bool, decision: Decision | None, fault: bool = False) -> ModeState:

@@ -69,6 +69,8 @@ class VehicleStatus:
     """Length of the path to the goal as the controller flies it, None without one."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
     """Evidence against the estimate or its sensors."""
+    camera_problem: str = ""
+    """Why pictures are not used although they come."""
     nav_disagrees: bool = False
     """The shadow estimator has been somewhere else for a while."""
     thruster_effectiveness: tuple[float, ...] = ()

@@ -17,7 +17,7 @@ from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
 from autopilot.core.nondeterminism import Note
 from autopilot.core.payload import PayloadState
-from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
+from autopilot.core.samples import ExternalPoseSample, PictureReport, PlanarFixSample, Sample
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 
 MAX_THRUSTERS = 8
@@ -609,8 +609,8 @@ class EstimatorInputs:
 
     thrust_n: FloatArray
     """(n,) thrust assumed to act since the last tick, in the order of the vehicle file."""
-    samples: tuple[ExternalPoseSample, ...] = ()
-    """Poses that came over MAVLink."""
+    samples: tuple[ExternalPoseSample | PlanarFixSample, ...] = ()
+    """Poses that came over MAVLink, and GPS fixes in the local frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

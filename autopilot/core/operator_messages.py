@@ -79,7 +79,7 @@ ARMED_UNFENCED = _notice(
 FORCED_ARMING = _warning("Forced arming despite: {reasons}", "", "Disarm and fix what is named.")
 DISARMED = _info("Disarmed")
 EMERGENCY_STOP = _warning("Emergency stop", "Disarmed by force, by the operator, a failsafe or a fault.")
-DISARM_CONFIRMED = _notice("Flight controller is disarmed now", "Later than usual.")
+DISARM_CONFIRMED = _notice("Flight controller is disarmed now")
 DISARM_NOT_CONFIRMED = _critical(
     "Flight controller does not confirm disarming: use its own switch",
     "Still armed 3 s after disarming; requests go on.",
@@ -108,7 +108,7 @@ PILOT_GAVE_BACK = _info("Pilot returned control: {next}", "PILOT_BACK 1 resumes 
 
 FAILSAFE_ACTS = _critical("Failsafe: {condition}", "A failsafe that acts, or a critical one, has begun.")
 FAILSAFE_WARNS = _warning("Failsafe: {condition}", "A failsafe that only warns has begun.")
-FAILSAFE_OVER = _info("Failsafe over: {condition}", "The mode stays.")
+FAILSAFE_OVER = _info("Failsafe over: {condition}")
 FAILSAFE_ENDS_FLIGHT = _critical(
     "Failsafe {verb}: {conditions}", "Disarmed, or thrusters handed back to the flight controller."
 )
@@ -156,29 +156,34 @@ ESTIMATE_NOT_FINITE = _error(
 ESTIMATE_FINITE = _info("Estimate is finite again")
 ESTIMATOR_REMARK = _warning("{text}", "From an estimator of your own.")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
-STAMPS_OFF = _warning(
-    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
-)
-FOCAL_LENGTH_OFF = _warning(
-    "Focal length {percent:.1f} % too {what}: recalibrate camera", "The markers' images fit another lens better."
-)
-LENS_OFF = _warning(
-    "Focal length or distortion {percent:.1f} % off: calibrate camera", "The markers' images fit another lens better."
-)
+STAMPS_OFF = _warning("{name} stamps {off_ms:.0f} ms {what}: calibrate latency")
+FOCAL_LENGTH_OFF = _warning("Focal length {percent:.1f} % too {what}: recalibrate camera")
+LENS_OFF = _warning("Focal length or distortion {percent:.1f} % off: calibrate camera")
 CAMERA_TILTED = _warning(
     "Camera and AHRS tilt differ {off_deg:.1f} deg: check both",
     "More than their uncertainties explain.",
     "Correct the mounting of the one that is off.",
 )
+ORIGIN_BY_GPS = _info("Origin set by GPS: {lat_deg:.6f}, {lon_deg:.6f}")
+GPS_FAR = _warning("GPS not used: {reason}")
+GPS_ORIGIN_DENIED = _warning("GPS sets no origin: {reason}")
+CAMERA_AWAY = _warning(
+    "Camera at {now_deg:.0f} deg, markers need {wanted_deg:.0f}: tilt it",
+    "Away from `camera_deg` pictures are not used.",
+)
+CAMERA_TILT_UNKNOWN = _warning(
+    "Camera tilt unknown, no markers: see output {channel}",
+    "Its pulse is not reported.",
+    "Check SERVOn_FUNCTION (7) and `channel`.",
+)
+CAMERA_TILTED_BACK = _info("Camera is tilted back: markers are used again")
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."
 )
-MARKERS_SWAPPED = _warning("Markers {number} and {other} are swapped in the map", "", "Correct the map.")
-MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}", "", "Correct the map or the marker.")
-MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Add it to the map or remove it.")
-MARKER_OFF = _warning(
-    "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
-)
+MARKERS_SWAPPED = _warning("Markers {number} and {other} are swapped in the map")
+MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}")
+MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none")
+MARKER_OFF = _warning("Marker {number} lies {off_cm:.1f} cm {way} of its map place")
 ACCELEROMETER_WRONG = _warning(
     "Accelerometer wrong: keep markers in view", "It contradicts fixes or depth.", "Check the AHRS's range."
 )
@@ -187,13 +192,9 @@ GYRO_WRONG = _warning(
 )
 FIXES_DISAGREE = _warning("Markers disagree with dead reckoning: check map", "", "Check the camera's calibration too.")
 RANGE_DISAGREES = _warning("Laser and marker height disagree: calibrate camera", "", "Check the laser's mounting too.")
-MAP_DISAGREES = _warning(
-    "Marker map disagrees: check it or survey it", "Markers contradict each other.", "Run `autopilot markers survey`."
-)
-CALIBRATION_SUSPECT = _warning("Camera calibration suspect: see messages", "Pictures fit another calibration better.")
-REPEATED_RESETS = _warning(
-    "Position reset repeatedly: check map, camera", "The estimate jumped to the fixes several times."
-)
+MAP_DISAGREES = _warning("Marker map disagrees: check it or survey it", "", "Run `autopilot markers survey`.")
+CALIBRATION_SUSPECT = _warning("Camera calibration suspect: see messages")
+REPEATED_RESETS = _warning("Position reset repeatedly: check map, camera")
 ACCELEROMETER_WRONG_POSES = _warning(
     "Accelerometer wrong: keep position fixes", "It contradicts fixes or depth.", "Check the AHRS's range."
 )
@@ -202,18 +203,16 @@ GYRO_WRONG_POSES = _warning(
 )
 POSES_DISAGREE = _warning("Poses disagree with dead reckoning: check source")
 POSE_RANGE_DISAGREES = _warning("Laser and pose height disagree: check both")
-POSE_LATENCY_SUSPECT = _warning("Pose latency suspect: see messages", "Poses fit the gyro at another time better.")
-REPEATED_RESETS_POSES = _warning(
-    "Position reset repeatedly: check its source", "The estimate jumped to the poses several times."
-)
+POSE_LATENCY_SUSPECT = _warning("Pose latency suspect: see messages")
+REPEATED_RESETS_POSES = _warning("Position reset repeatedly: check its source")
 POSES_WRONG = _warning(
     "Poses wrong: they show another place or time",
-    "They do not follow gyro and vehicle model.",
+    "",
     "Check their source and its clock.",
 )
 CAMERA_WRONG = _warning(
     "Camera wrong: it shows another place or time",
-    "Pictures do not follow gyro and vehicle model.",
+    "",
     "Check the video source.",
 )
 
@@ -222,7 +221,7 @@ CAMERA_WRONG = _warning(
 LATENCY_NORMAL = _info("Command latency is back to normal")
 LATENCY = _warning(
     "Command latency {delay_s:.1f} s: check the tether",
-    "Time from command to motion.",
+    "",
     "Check network and flight controller load too.",
 )
 REDUNDANT_LOSS = _warning(
@@ -238,10 +237,10 @@ THRUSTER_LOSS = _warning(
 )
 THRUSTER_RESTORED = _info("Thruster {name} gives its full thrust again")
 THRUSTERS_UNJUDGED = _info("Thrust not estimated, used too little: {names}", "A loss could not be seen in this flight.")
-NO_FREE_PATH = _warning("No free path to the goal: holding; move the goal", "Fence and obstacles leave none.")
+NO_FREE_PATH = _warning("No free path to the goal: holding; move the goal")
 FENCE_TOO_NEAR = _warning("New fence: {lack_m:.2f} m too near, moving out")
 FENCE_GAP = _warning("{text}", "A gap in the fence or between obstacles that no leg needs (FENCE_GAP_CHK).")
-MOTOR_TEST = _info("Motor test: {number} {name}{limit}", "", "Keep hands off.")
+MOTOR_TEST = _info("Motor test: {number} {name}{limit}")
 MOTOR_TEST_OVER = _info("Motor test over")
 MOTOR_TEST_ENDED = _info("Motor test over: {reason}")
 
@@ -252,22 +251,21 @@ DEVICE_WORKS = _info("{device}: working again")
 BATTERY_IMPLAUSIBLE = _warning("Battery readings implausible: check the monitor", "Not finite or negative; not used.")
 BATTERY_VOLTAGE_IMPLAUSIBLE = _warning(
     "Battery voltage {voltage_v:.1f} V, plausible {low_v:.3g} to {high_v:.3g} V: check monitor, vehicle file",
-    "Not used.",
 )
 CAMERA_DARK = _warning("Camera black: remove its cover, switch on light")
 CAMERA_BRIGHT = _warning("Camera over-exposed: shorten exposure, dim light")
 CAMERA_FLAT = _warning("Camera shows one grey level: check lens, cable")
-CAMERA_TORN = _warning("Camera pictures are torn: check its cable", "Parts of a picture are of different frames.")
+CAMERA_TORN = _warning("Camera pictures are torn: check its cable")
 CAMERA_FROZEN = _warning("Camera frozen, same picture again: restart it")
-CAMERA_WRONG_SIZE = _warning("Picture size is not the vehicle file's: check it", "The calibration does not apply.")
+CAMERA_WRONG_SIZE = _warning("Picture size is not the vehicle file's: check it")
 CAMERA_WRONG_TYPE = _warning("Camera sends no 8-bit pictures: set its format")
-CAMERA_FOGGY = _warning("Camera foggy: clean its lens, or water is turbid", "Too little contrast for markers.")
+CAMERA_FOGGY = _warning("Camera foggy: clean its lens, or water is turbid")
 CAMERA_SILENT = _warning("Camera sends no pictures: check its cable")
 CAMERA_WORKS = _info("Camera works again")
 PHOTOS_STOPPED = _warning("Photos stopped: {reason}")
 PHOTOS_SKIPPED = _warning("Photos skipped: camera too slow, ask less often")
 PHOTO_FAILED = _warning("Photo {index} failed: {reason}")
-FLOOR_LOST = _warning("No range to the floor: holding depth", "SURFTRAK has no altimeter reading.")
+FLOOR_LOST = _warning("No range to the floor: holding depth")
 FLOOR_BACK = _info("Range to the floor is back: holding height")
 IN_OBSTACLE = _warning(
     "Obstacle of {size_m:.0f} m ignored: it covers the vehicle", "", "Correct the system that reports it."
@@ -309,13 +307,13 @@ GREETING_REFUSAL = _warning("No arming: {reason}", "A reason that a client canno
 KEY_UNKNOWN = _warning("Frames with an unknown key rejected: check the key", "", "Give the client the key.")
 UNSIGNED = _warning("Unsigned frames rejected: sign them", "", "Give the client the key.")
 SIGNED_TOO_OLD = _warning("Signed frames rejected, too old: check the clock")
-FRAMES_REFUSED = _warning("frames rejected so far: {counts}", "For the log.")
+FRAMES_REFUSED = _warning("frames rejected so far: {counts}")
 FLOODED = _warning(
     "{sender} floods its link: throttled", "A client sends more than is processed.", "Lower its message rates."
 )
-FLOODED_BYTES = _warning("{sender} on link {link}: {lost} bytes dropped, {total} in all", "For the log.")
+FLOODED_BYTES = _warning("{sender} on link {link}: {lost} bytes dropped, {total} in all")
 HIGH_LATENCY = _info("link {link}: high latency", "For the log: the link carries HIGH_LATENCY2.")
-HIGH_LATENCY_OVER = _info("link {link}: high latency is over", "For the log.")
+HIGH_LATENCY_OVER = _info("link {link}: high latency is over")
 SIGNING_NOT_SAVED = _warning("Signing key or time not saved: {problem}", "A restart loses it.", "Check the disk.")
 KEY_FROM_NETWORK = _warning("Key refused: use `autopilot mavlink key` on board")
 KEY_WHILE_ARMED = _warning("Key refused: disarm first")
@@ -337,13 +335,13 @@ PLAN_ACCEPTED = _info("{kind} plan accepted: {count} items{home}", "In force and
 PLAN_REFUSED = _warning("{kind} refused: {reason}", "The plan in force stays.", "Correct the item, upload again.")
 PLAN_DENIED = _warning("{kind} change denied: client {client} is uploading, try again later")
 PLAN_NOT_ON_DISK = _warning("Plan in force, not on disk yet", "The disk is slow; a restart may lose it.")
-PLAN_CLEARED = _info("cleared: {names}", "For the log.")
+PLAN_CLEARED = _info("cleared: {names}")
 PLAN_NOT_CLEARED = _warning("Not cleared ({names}): {reason}", "The plan in force stays.")
-UPLOAD_CANCELLED = _info("{kind} upload cancelled by the client", "For the log.")
+UPLOAD_CANCELLED = _info("{kind} upload cancelled by the client")
 MISSION_UNFENCED = _warning(
     f"Mission{{size}} with {NO_FENCE}: upload its fence, or keep clear of walls",
 )
-PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})", "For the log.")
+PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})")
 PARAMETER_STUB = _warning("{name} is read only: {remedy}")
 PACKED_PARAMETERS = _info("param.pck: only under profile ardusub, use param fetch")
 EXTENDED_PARAMETERS = _info("PARAM_EXT is not served: use PARAM_REQUEST_LIST")
@@ -359,7 +357,7 @@ LOGS_NO_FOLDER = _warning("Logs not erased: there is no log folder")
 LOGS_NOT_ERASED = _warning("Logs not erased: {error}")
 LOG_MISSING = _warning("There is no log {number}: list the logs again")
 LOG_UNREADABLE = _warning("Log {number} cannot be read: list the logs again")
-STICKS_UNUSED = _info("Pitch and roll sticks have no effect here", "MANUAL_CONTROL: x, y, z and r are used.")
+STICKS_UNUSED = _info("Pitch and roll sticks have no effect here")
 STICKS_OF_ANOTHER = _warning("Sticks ignored: {client} steers", "One client steers at a time.")
 STICK_BELOW_ZERO = _notice("Vertical stick below 0: interpreted as PILOT_Z 1", "Range -1000 to 1000, neutral 0.")
 STICK_NOT_CENTRED = _warning(
@@ -405,8 +403,8 @@ BUOYANCY_BEYOND_THRUST = _warning(
 )
 BUOYANCY_OFF = _warning("{way} than its file by {force_n:.1f} N: trim it", "", "Change ballast or the vehicle file.")
 WORK_FAILED = _debug("{work}: {kind}: {error}", "An exception in background work.")
-NO_ENERGY_PLAN = _warning("No energy plan: flying the plain route", "The reason is in the log.")
-ROUTE_SEARCH_FAILED = _warning("Route search failed: holding, send another goal", "The exception is in the log.")
+NO_ENERGY_PLAN = _warning("No energy plan: flying the plain route")
+ROUTE_SEARCH_FAILED = _warning("Route search failed: holding, send another goal")
 
 # Service, links and drivers
 
@@ -414,7 +412,7 @@ START_WARNING = _warning("{text}", "A warning from the start of the service.")
 PLANS_NOT_SAVED = _warning("Plans not saved: {cause}", "A restart loses the present plans.", "Check the disk.")
 LOG_STOPPED = _warning("Log stopped: {cause}", "Nothing is recorded until the next arming.", "Check the disk.")
 LOG_DISK_SLOW = _warning("Log loses messages: disk too slow")
-LOG_INCOMPLETE = _warning("Log misses messages: internal fault", "", "Report it.")
+LOG_INCOMPLETE = _warning("Log misses messages: internal fault")
 STATE_NOT_KEPT = _warning(
     "No arming: {text}", "Stored plans or parameters are lost or differ.", "Check them, then set STATE_ACCEPT."
 )
@@ -425,10 +423,10 @@ LINK_NEWS = _info("{text}", "A link's port or clients have changed.")
 LINK_BACK = _info("{name}: back")
 VIEW = _info("View: {text}", "The simulation was changed from the live view.")
 FOUND_ARMED = _critical("Flight controller found ARMED: disarm it first")
-PAYLOAD_REFUSED = _warning("{text}", "The flight controller refused a servo or relay.")
+PAYLOAD_REFUSED = _warning("{text}")
 DEVICE_CONNECTED = _notice("{name}: connected")
 DEVICE_RECONNECTED = _notice("{name}: reconnected")
-DEVICE_DOWN = _warning("{name}: down: {problem}", "Opening is tried again and again.")
+DEVICE_DOWN = _warning("{name}: down: {problem}")
 DEVICE_SILENT = _warning("{name}: silent: check power and settings", "Open, but no data arrive.")
 DEVICE_HEARD = _notice("{name}: working again")
 CLOCK_JUMPED = _warning("{what}{used}: check power, time sync", "A sensor's time stamps jumped.")

@@ -121,6 +121,14 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("CIRCLE_SPEED", 0.15, -3.0, 3.0, "m/s", "Speed along the circle, negative = to port."),
     _int("EST_CURRENT_3D", 0, 0, 1, "Vertical current: 0 = taken as zero, 1 = estimated (restart)."),
     _real("EST_EXT_DELAY", 0.0, 0.0, 0.5, "s", "Age on arrival of external poses stamped by another clock."),
+    _real(
+        "EST_SIGMA_MAX",
+        0.25,
+        0.05,
+        10.0,
+        "m",
+        "Standard deviation beyond which a position is none; above that of GPS to use it (restart).",
+    ),
     _int(
         "EST_SHADOW",
         1,

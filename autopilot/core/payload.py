@@ -12,3 +12,4 @@ class PayloadState:
 
     t_us: int
     pulses_us: tuple[int, ...]
+    """0 = as it is: a tilt that nobody has moved yet."""

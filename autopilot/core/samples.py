@@ -234,6 +234,38 @@ class HullSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GpsSample:
+    """Three-dimensional fix of a satellite receiver, of its antenna. There is none under water."""
+
+    t_us: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    """Above mean sea level."""
+    sigma_m: float
+    """Standard deviation of the horizontal position, each axis, as the receiver says."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlanarFixSample:
+    """A :class:`GpsSample` in the local frame, made by the service, which knows its origin."""
+
+    t_us: int
+    pos_ned_m: FloatArray
+    """(2,) north, east of the antenna."""
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraTiltSample:
+    """Angle of the tilt that carries a camera, by the pulse at its servo: on its way it is elsewhere."""
+
+    t_us: int
+    angle_rad: float
+    """Against the body, upwards positive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PilotSample:
     """Input from the pilot's sticks was received by the flight controller or a receiver."""
 
@@ -267,6 +299,9 @@ Sample: TypeAlias = (
     | PowerSample
     | LeakSample
     | HullSample
+    | GpsSample
+    | PlanarFixSample
+    | CameraTiltSample
     | PilotSample
     | ObstacleTrack
 )

@@ -103,6 +103,15 @@ SENSOR_ROWS = (
         replaces=True,
     ),
     SensorRow(
+        device="gps",
+        label="GPS",
+        samples=("GpsSample",),
+        table="gps",
+        simulated="autopilot.sitl.gps:SimGps",
+        aids=("gps",),
+        aid="autopilot.estimator.measure_gps:GpsAid",
+    ),
+    SensorRow(
         device="battery",
         label="Battery monitor",
         measures="battery",

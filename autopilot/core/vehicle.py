@@ -3,6 +3,7 @@
 Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin in ``[sources]``.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -290,6 +291,14 @@ class AltimeterMount(SensorMount, frozen=True, kw_only=True):
         _goes_down(self.direction_frd)
 
 
+class GpsMount(SensorMount, frozen=True, kw_only=True):
+    """Antenna of a satellite receiver, above the water when the vehicle has surfaced."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, -0.15)
+    rate_hz: Positive = 5.0
+    latency_s: NonNegative = 0.2
+
+
 class ExternalMount(SensorMount, frozen=True, kw_only=True):
     """What an outside positioning system tracks."""
 
@@ -298,7 +307,7 @@ class PayloadTable(Table, frozen=True, kw_only=True):
     """``[[payload]]``: something that is carried and moved by pulses, beside the thrusters."""
 
     name: str
-    kind: Literal["servo", "gripper", "relay", "light"]
+    kind: Literal["servo", "gripper", "relay", "light", "tilt"]
     channel: Annotated[int, msgspec.Meta(ge=1, le=32)] | None = None
     """Servo output that it is on, counted as the thrusters' channels."""
     relay: Annotated[int, msgspec.Meta(ge=0, le=15)] | None = None
@@ -308,7 +317,13 @@ class PayloadTable(Table, frozen=True, kw_only=True):
     max_us: Annotated[int, msgspec.Meta(ge=500, le=2500)] = 1900
     """Longest pulse: bright, on, open."""
     rest_us: Annotated[int, msgspec.Meta(ge=500, le=2500)] | None = None
-    """At the start; absent = dark, off, open, and a servo in its middle."""
+    """At the start; absent = dark, off, open, a servo in its middle, a tilt as it is."""
+    min_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -45.0
+    """Of a camera's tilt: angle at ``min_us`` against the body, upwards positive."""
+    max_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 45.0
+    """At ``max_us``."""
+    camera_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None
+    """Where ``[camera]`` was calibrated, if it tilts with this; absent = it does not."""
 
     def __post_init__(self) -> None:
         if self.min_us >= self.max_us:
@@ -319,6 +334,25 @@ class PayloadTable(Table, frozen=True, kw_only=True):
             raise ValueError('`relay` and `kind` = "relay" go together')
         if self.kind != "relay" and self.channel is None:
             raise ValueError(f"`channel` is missing: which output is {self.name!r} on")
+        if self.min_deg == self.max_deg:
+            raise ValueError("`min_deg` and `max_deg` are equal: an angle at each end is needed")
+        if self.camera_deg is not None and (self.kind != "tilt" or not self.reaches(math.radians(self.camera_deg))):
+            raise ValueError(f"`camera_deg` = {self.camera_deg:g} is no angle of a `tilt` with these ends")
+
+    def reaches(self, angle_rad: float) -> bool:
+        """Whether a tilt has this angle."""
+        low_deg, high_deg = sorted((self.min_deg, self.max_deg))
+        return low_deg - 1e-6 <= math.degrees(angle_rad) <= high_deg + 1e-6
+
+    def angle_rad(self, pulse_us: float) -> float:
+        """Angle of a tilt at a pulse, upwards positive."""
+        level = (pulse_us - self.min_us) / (self.max_us - self.min_us)
+        return math.radians(self.min_deg + level * (self.max_deg - self.min_deg))
+
+    def tilt_us(self, angle_rad: float) -> int:
+        """Pulse of a tilt for an angle that it reaches."""
+        level = (math.degrees(angle_rad) - self.min_deg) / (self.max_deg - self.min_deg)
+        return round(self.min_us + level * (self.max_us - self.min_us))
 
     @property
     def start_us(self) -> int:
@@ -326,7 +360,9 @@ class PayloadTable(Table, frozen=True, kw_only=True):
         if self.rest_us is not None:
             return self.rest_us
         middle_us = (self.min_us + self.max_us) // 2
-        return {"servo": middle_us, "gripper": self.max_us}.get(self.kind, self.min_us)
+        if self.camera_deg is not None:
+            return self.tilt_us(math.radians(self.camera_deg))
+        return {"servo": middle_us, "tilt": middle_us, "gripper": self.max_us}.get(self.kind, self.min_us)
 
 
 class Vehicle(Table, frozen=True, kw_only=True):
@@ -360,6 +396,7 @@ class Vehicle(Table, frozen=True, kw_only=True):
     depth_sensor: DepthMount = DepthMount()
     dvl: DvlMount = DvlMount()
     altimeter: AltimeterMount = AltimeterMount()
+    gps: GpsMount = GpsMount()
     external_pose: ExternalMount = ExternalMount()
     payload: Annotated[tuple[PayloadTable, ...], msgspec.Meta(max_length=MAX_PAYLOAD)] = ()
     """What it carries beside."""
@@ -389,6 +426,13 @@ class Vehicle(Table, frozen=True, kw_only=True):
                 if before is not None:
                     raise ValueError(f"`payload[{index}]` ({output.name}): `{key}` = {value!r} is that of {before}")
                 taken[key, value] = f"`payload[{index}]`"
+        if sum(output.kind == "tilt" for output in self.payload) > 1:
+            raise ValueError('`payload` has more than one `kind` = "tilt": one camera is tilted')
+
+    @property
+    def tilt(self) -> PayloadTable | None:
+        """What tilts a camera, None without it."""
+        return next((output for output in self.payload if output.kind == "tilt"), None)
 
     @property
     def thrusters(self) -> tuple[Thruster, ...]:

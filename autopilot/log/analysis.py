@@ -3,6 +3,7 @@
 Verdicts are in :mod:`autopilot.log.check`. Times are seconds of the service's clock, everything else SI.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -255,11 +256,14 @@ def known_table(log: Log, topic: str) -> MessageTable | None:
 def last_counts(log: Log) -> dict[str, int]:
     """Final values of the counters, by name; empty if the log has none, or those of another version."""
     table = log.get("/nav/counters")
-    fields = (layout("autopilot_msgs/NavCounters").dtype.names or ())[1:]
+    ours = layout("autopilot_msgs/NavCounters").dtype
+    fields = (ours.names or ())[1:]
     has = () if table is None else table.dtype.names or ()
     if table is None or not len(table) or not set(fields[:-1]) <= set(has):
         return {}
-    values = np.concatenate([np.ravel(table[field][-1]) for field in fields if field in has]).tolist()
+    found = [(np.ravel(table[field][-1]), math.prod(ours[field].shape)) for field in fields if field in has]
+    # Logs of earlier versions have room for fewer sensors.
+    values = np.concatenate([np.pad(value, (0, max(0, width - len(value)))) for value, width in found]).tolist()
     return {name: int(count) for name, count in zip((*COUNTER_NAMES, *LAST_NAMES), values, strict=False) if name}
 
 

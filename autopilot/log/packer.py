@@ -14,7 +14,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs, Severity
-from autopilot.core.samples import CameraFrame, MarkerSighting, PowerSample, Sample
+from autopilot.core.samples import CameraFrame, MarkerSighting, PlanarFixSample, PowerSample, Sample
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
@@ -155,8 +155,9 @@ class Packer:
         if outputs.estimated_from is not None:
             given = outputs.estimated_from
             self._on_change("/nav/thrust", t_us, given.thrust_n)
-            for pose in given.samples:
-                self._record("/nav/external", pose.t_us, pose)
+            for given_sample in given.samples:
+                topic = "/nav/gps" if isinstance(given_sample, PlanarFixSample) else "/nav/external"
+                self._record(topic, given_sample.t_us, given_sample)
         for aid in outputs.aids:
             self._record(AID_PREFIX + aid.sensor, aid.t_us, aid)
             if aid.fit is not None:

@@ -152,15 +152,15 @@ uint32 ahrs_old  # stamped before one that was taken
 uint32 ahrs_stuck  # repeating themselves
 uint32 ahrs_blind_steps  # of the filter without an AHRS sample
 uint32 ahrs_tilt_disagreements  # tilts that left what gyros and accelerometers say
-uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser, 7 altimeter
-uint32[8] fused  # 1 = it went into the estimate
-uint32[8] rejected  # measurements that failed their test
-uint32[8] late  # measurements older than the filter goes back
-uint32[8] duplicate  # measurements that came twice
-uint32[8] future  # measurements stamped later than now
-uint32[8] malformed  # measurements that are not finite or out of range
-uint32[8] aid_resets  # resets of the estimate by this sensor
-uint32[16] frames  # ok wrong_size wrong_type dark bright flat torn frozen dropped failed late foggy
+uint32[16] received  # by sensor: heading model markers external velocity depth laser altimeter gps
+uint32[16] fused  # 1 = it went into the estimate
+uint32[16] rejected  # measurements that failed their test
+uint32[16] late  # measurements older than the filter goes back
+uint32[16] duplicate  # measurements that came twice
+uint32[16] future  # measurements stamped later than now
+uint32[16] malformed  # measurements that are not finite or out of range
+uint32[16] aid_resets  # resets of the estimate by this sensor
+uint32[16] frames  # ok wrong_size wrong_type dark bright flat torn frozen dropped failed late foggy tilted
 uint32 markers_unknown  # markers that the map does not have
 uint32 markers_misfit  # markers left out because they did not fit
 uint32 markers_leaning  # fixes refused because they leaned

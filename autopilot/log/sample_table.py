@@ -11,8 +11,10 @@ from typing import Any
 from autopilot.core.samples import (
     AhrsSample,
     AltimeterSample,
+    CameraTiltSample,
     DepthSample,
     ExternalPoseSample,
+    GpsSample,
     HullSample,
     ImuSample,
     LaserSample,
@@ -20,6 +22,7 @@ from autopilot.core.samples import (
     MarkerSighting,
     ObstacleTrack,
     PilotSample,
+    PlanarFixSample,
     PoseSample,
     PowerSample,
     VelocitySample,
@@ -210,6 +213,38 @@ float64 pressure_pa  # absolute, inside the hull; NaN not measured
 float64 temperature_c  # the same
 """,
         estimator=False,
+    ),
+    SampleRow(
+        of=GpsSample,
+        topic="/in/gps",
+        type="Gps",
+        frame="wgs",
+        fields="""
+float64 lat_deg  # of the antenna
+float64 lon_deg  # the same
+float64 alt_m  # above mean sea level
+float64 sigma_m  # horizontal, each axis
+""",
+        estimator=False,
+    ),
+    SampleRow(
+        of=PlanarFixSample,
+        topic="/nav/gps",
+        type="PlanarFix",
+        frame="ned",
+        fields="""
+float64[2] pos_ned_m  # north, east of the antenna
+float64 sigma_m  # standard deviation, each axis
+""",
+    ),
+    SampleRow(
+        of=CameraTiltSample,
+        topic="/in/camera_tilt",
+        type="CameraTilt",
+        frame="frd",
+        fields="""
+float64 angle_rad  # by the pulse at its servo, upwards positive
+""",
     ),
     SampleRow(
         of=PilotSample,

@@ -67,7 +67,6 @@ class CameraComponent:
 
     def actions(self) -> Mapping[int, CommandRow]:
         """Commands that the autopilot passes on to its camera as well."""
-        no_gimbal = "Camera is fixed: it cannot be turned"
         return {
             mav.MAV_CMD_IMAGE_START_CAPTURE: action(self.start_capture),
             mav.MAV_CMD_IMAGE_STOP_CAPTURE: action(lambda call: Reply(self._orders.stop())),
@@ -89,8 +88,6 @@ class CameraComponent:
             mav.MAV_CMD_CAMERA_TRACK_RECTANGLE: refused("Camera does not track"),
             mav.MAV_CMD_CAMERA_STOP_TRACKING: refused("Camera does not track"),
             mav.MAV_CMD_DO_CONTROL_VIDEO: refused(NO_VIDEO),
-            mav.MAV_CMD_DO_MOUNT_CONFIGURE: refused(no_gimbal),
-            mav.MAV_CMD_DO_MOUNT_CONTROL: refused(no_gimbal),
         }
 
     def requests(self) -> Mapping[int, CommandRow]:

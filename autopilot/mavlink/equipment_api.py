@@ -46,6 +46,28 @@ class EquipmentOrders(Protocol):
         """Number -> -1 to 1. All or none."""
         ...
 
+    def refuse_tilt(self, angle_rad: float | None = None) -> str:
+        """Why the camera cannot be tilted, or not to an angle; "" when it can."""
+        ...
+
+    @property
+    def tilt_rad(self) -> float | None:
+        """Angle of the camera's tilt, upwards positive; None without one, and while nobody knows it."""
+        ...
+
+    @property
+    def tilt_range_rad(self) -> tuple[float, float] | None:
+        """Ends of the tilt, lower and upper; None without one."""
+        ...
+
+    def tilt(self, angle_rad: float) -> CommandReply:
+        """Tilt the camera to an angle against the body, upwards positive."""
+        ...
+
+    def tilt_by(self, step_rad: float | None) -> CommandReply:
+        """Tilt the camera up or down by a step; None = to its start, its middle as a rule."""
+        ...
+
     def lights(self, change: float | None) -> CommandReply:
         """Change the brightness of all lights by a share; None = toggle."""
         ...

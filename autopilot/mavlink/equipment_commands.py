@@ -1,14 +1,12 @@
-"""Commands to servos, relays, grippers and lights (https://mavlink.io/en/messages/common.html), and those to gimbals,
-of which there is none."""
+"""Commands to servos, relays, grippers and lights (https://mavlink.io/en/messages/common.html)."""
 
 import math
 from collections.abc import Mapping
 
-from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied, refused
+from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 
-NO_GIMBAL = "There is no gimbal: the camera is fixed"
 ACTUATORS = 6
 """Values of one DO_SET_ACTUATOR; param7 is the index of the set."""
 
@@ -25,10 +23,6 @@ class EquipmentCommands:
             mav.MAV_CMD_DO_REPEAT_RELAY: action(self.repeat_relay),
             mav.MAV_CMD_DO_GRIPPER: action(self.gripper),
             mav.MAV_CMD_DO_SET_ACTUATOR: action(self.set_actuator),
-            mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: refused(NO_GIMBAL),
-            mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: refused(NO_GIMBAL),
-            mav.MAV_CMD_DO_MOUNT_CONFIGURE: refused(NO_GIMBAL),
-            mav.MAV_CMD_DO_MOUNT_CONTROL: refused(NO_GIMBAL),
         }
 
     def set_servo(self, call: Call) -> Reply:

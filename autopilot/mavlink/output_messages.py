@@ -1,4 +1,4 @@
-"""Messages for a pilot's display: gain, lights, tether turns, and the pulse of every output."""
+"""Messages for a pilot's display: gain, lights, tilt, tether turns, and the pulse of every output."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -75,12 +75,15 @@ class OutputMessages:
 
     def named_values(self) -> tuple[Message, ...]:
         """NAMED_VALUE_FLOAT with ArduSub's names, as QGroundControl's submarine panel shows them; missing equipment
-        (a camera tilt, for example) is left out.
+        is left out. CamTilt is 1 at the upper end.
         """
         values = {"PilotGain": self._gain()}
         if self._equipment is not None:
             levels = self._equipment.light_levels()[:LIGHTS]
             values |= {f"Lights{n}": level for n, level in enumerate(levels, 1)}
+            tilt_rad, ends = self._equipment.tilt_rad, self._equipment.tilt_range_rad
+            if tilt_rad is not None and ends is not None:
+                values["CamTilt"] = (tilt_rad - ends[0]) / (ends[1] - ends[0])
         if self._yaw_rad is not None:
             values["TetherTrn"] = self._turned_rad / (2.0 * math.pi)
         return tuple(

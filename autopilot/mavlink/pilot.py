@@ -4,6 +4,7 @@ One pilot at a time: the first sender owns the sticks until its messages time ou
 the mode decides how to respond.
 """
 
+import math
 from dataclasses import dataclass
 
 from autopilot.core import operator_messages as notices
@@ -37,11 +38,14 @@ LEAST_US, MOST_US = 800, 2200
 
 TO_ARM, ARM, DISARM = 2, 3, 4
 GAIN_UP, GAIN_DOWN = 42, 43
+TILT_CENTER, TILT_UP, TILT_DOWN = 21, 22, 23
 PHOTO, LIGHTS, BRIGHTER, DARKER = 24, 31, 32, 33
 RELAY_ON, RELAY_OFF, RELAY_OVER = 51, 52, 53
 """Values of BTNn_FUNCTION; those that ArduSub has too are the same there, as are those of the modes."""
 LIGHT_STEP = 0.125
 """Share by which a button makes lights brighter or darker."""
+TILT_STEP_RAD = math.radians(5.0)
+"""Step of a button that tilts the camera."""
 
 
 @dataclass(slots=True)
@@ -184,7 +188,7 @@ class PilotInputs:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _carried(self, function: int) -> CommandReply | None:
-        """Button function on lights, relay and camera; None for other functions."""
+        """Button function on lights, tilt, relay and camera; None for other functions."""
         camera, equipment = self._camera, self._equipment
         if function == PHOTO and camera is not None:
             return camera.shoot(1, 0.0)
@@ -192,6 +196,8 @@ class PilotInputs:
             return None
         if function in (LIGHTS, BRIGHTER, DARKER):
             return equipment.lights({BRIGHTER: LIGHT_STEP, DARKER: -LIGHT_STEP}.get(function))
+        if function in (TILT_CENTER, TILT_UP, TILT_DOWN):
+            return equipment.tilt_by({TILT_UP: TILT_STEP_RAD, TILT_DOWN: -TILT_STEP_RAD}.get(function))
         if function in (RELAY_ON, RELAY_OFF):
             return equipment.set_relay(0, on=function == RELAY_ON)
         return equipment.toggle_relay(0) if function == RELAY_OVER else None

@@ -41,6 +41,7 @@ from autopilot.mavlink.events import Events
 from autopilot.mavlink.external_poses import ExternalPoses
 from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
+from autopilot.mavlink.gimbal import Gimbal
 from autopilot.mavlink.high_latency import HighLatency
 from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, MessageInbox
 from autopilot.mavlink.logs import LogDownload
@@ -193,6 +194,7 @@ class MavlinkServer:
         self._telemetry = NavigationMessages(ctx)
         self._sensors = SensorMessages(ctx, self._telemetry)
         self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
+        gimbal = Gimbal(ctx, equipment)
         self._progress = ProgressMessages(ctx, self.missions)
         self._flight = FlightInformation(ctx)
         self._events = Events(ctx)
@@ -208,6 +210,7 @@ class MavlinkServer:
                 **self._telemetry.builders(),
                 **self._sensors.builders(),
                 **self._outputs.builders(),
+                **gimbal.builders(),
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
@@ -224,15 +227,16 @@ class MavlinkServer:
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
         }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
+        mount = gimbal.table()
         maintenance = Maintenance(ctx, self.parameters)
-        table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried}
+        table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried, **mount}
         self._camera: CameraComponent | None = None
         self._to_camera: CommandProtocol | None = None
         """Commands that are addressed to the camera, or that only it can answer."""
         self._ours = _OUR_COMPONENTS
         if camera is not None:
             self._camera = CameraComponent(ctx, camera, lambda: self.utility.utc_offset_us)
-            taken = {**self._camera.actions(), **self._camera.requests()}
+            taken = {**self._camera.actions(), **self._camera.requests(), **mount}
             self._to_camera = CommandProtocol(ctx, taken, self._keeps_out, CAMERA_COMPID)
             table = {**self._camera.actions(), **table}
             self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}

@@ -39,6 +39,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_SCALED_PRESSURE: _S,
         mav.MAVLINK_MSG_ID_SCALED_PRESSURE2: _S // 2,
         mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: _S // 2,
+        mav.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS: _S // 2,
         mav.MAVLINK_MSG_ID_VIBRATION: _S,
         mav.MAVLINK_MSG_ID_FENCE_STATUS: _S,
         mav.MAVLINK_MSG_ID_ODOMETRY: _S,
@@ -51,6 +52,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_CURRENT_MODE: 2 * _S,
         extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: 2 * _S,
         mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: 5 * _S,
+        mav.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS: 5 * _S,
         mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 10 * _S,
         mav.MAVLINK_MSG_ID_TIMESYNC: 10 * _S,
     }

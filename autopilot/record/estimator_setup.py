@@ -32,7 +32,7 @@ class EstimatorSetup(msgspec.Struct, frozen=True, kw_only=True):
 
 def options_of(params: ParamSet) -> EstimatorOptions:
     """Options set by the parameters at the start of the service."""
-    return EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0)
+    return EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0, sigma_limit_m=params["EST_SIGMA_MAX"])
 
 
 def estimator_attachments(

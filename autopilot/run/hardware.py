@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from autopilot.core.camera_tilt import TiltReports
 from autopilot.core.messages import FlightControllerState, Severity, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
@@ -53,6 +54,9 @@ class HardwareVehicle:
         self._watched = device if isinstance(device, WatchedOutput) else None
         self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
+        self._tilt = TiltReports(vehicle)
+        self._payload_us: tuple[int, ...] = ()
+        """As the thruster output drives the payload; a flight controller reports for itself what it does."""
         self._early: list[Sample] = []
         """Samples with a time stamp later than the present tick."""
 
@@ -75,6 +79,7 @@ class HardwareVehicle:
             samples += [s for s in found if type(s) not in passed] if passed else found
         for sensor in self._sensors.values():
             samples += sensor.poll(t_us)
+        samples += self._tilt.of_outputs(t_us, self._payload_us)
         return self._in_time(t_us, samples)
 
     def _in_time(self, t_us: int, samples: list[Sample]) -> list[Sample]:
@@ -104,6 +109,7 @@ class HardwareVehicle:
         output = self._output
         if output is not None and isinstance(output.device, PayloadOutput) and output.attend(t_us):
             output.device.set_payload(t_us, state.pulses_us)
+            self._payload_us = () if self._below is not None else state.pulses_us
 
     def hand_back(self, t_us: int) -> None:
         """The flight controller below has the thrusters again; without one they are neutral already."""

@@ -1,11 +1,13 @@
 """What a vehicle carries, moved by the drivers: spare channels of a PWM board, the flight controller below."""
 
+import math
 from pathlib import Path
 
 import msgspec
 from output_rigs import CLOCK_HZ
 from test_ardusub import Bench
 
+from autopilot.core.samples import CameraTiltSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
 from autopilot.drivers.protocols import PayloadOutput
@@ -51,25 +53,67 @@ def test_ardusub_is_asked_until_it_acknowledges_and_a_refusal_is_told() -> None:
     bench = Bench()
     try:
         bench.run(1.0)
-        wanted = [1100, 1900, 1100]
+        wanted = [1100, 1900, 1100, 0]
         for _ in range(50):
             bench.driver.set_payload(bench.t_us, wanted)
             bench.tick()
-        assert bench.below.spare_us == {} and bench.below.relays == {}, "nothing was changed"
-        wanted = [1500, 1100, 1900]
+        assert bench.below.extras.spare_us == {} and bench.below.extras.relays == {}, "nothing was changed"
+        wanted = [1500, 1100, 1900, 0]
         for _ in range(200):
             bench.driver.set_payload(bench.t_us, wanted)
             bench.tick()
-        assert bench.below.spare_us == {9: 1500, 10: 1100}
-        assert bench.below.relays == {0: True}
+        assert bench.below.extras.spare_us == {13: 1500, 9: 1100}
+        assert bench.below.extras.relays == {0: True}
         bench.below.mute = True  # the cable is off: what is asked for meanwhile comes later
         for _ in range(300):
-            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900])
+            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900, 0])
             bench.tick()
         bench.below.mute = False
         for _ in range(300):
-            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900])
+            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900, 0])
             bench.tick()
-        assert bench.below.spare_us[9] == 1600
+        assert bench.below.extras.spare_us[13] == 1600
+    finally:
+        bench.close()
+
+
+def test_ardusub_tilts_its_mount_by_angle_and_reports_whoever_tilts_it() -> None:
+    bench = Bench()
+    try:
+        bench.run(1.0)
+        assert bench.below.extras.tilt_deg == 0.0 and seen_tilts(bench)[-1] == 0.0
+        for _ in range(50):
+            bench.driver.set_payload(bench.t_us, [1100, 1900, 1100, 0])
+            bench.tick()
+        assert bench.below.extras.tilt_deg == 0.0, "nobody has asked for it"
+        for _ in range(100):
+            bench.driver.set_payload(bench.t_us, [1100, 1900, 1100, 1300])
+            bench.tick()
+        assert bench.below.extras.tilt_deg == -22.5 and seen_tilts(bench)[-1] == -22.5
+        bench.below.extras.tilt_deg = 40.0  # its pilot's buttons
+        bench.run(0.1)
+        assert abs(seen_tilts(bench)[-1] - 40.0) < 0.1
+        quiet = len(seen_tilts(bench))
+        bench.run(2.0)
+        assert 8 <= len(seen_tilts(bench)) - quiet <= 12, "5 a second while it stands"
+    finally:
+        bench.close()
+
+
+def seen_tilts(bench: Bench) -> list[float]:
+    """Reported angles [deg]."""
+    return [math.degrees(sample.angle_rad) for sample in bench.samples if isinstance(sample, CameraTiltSample)]
+
+
+def test_outputs_of_ardusub_that_would_not_move_as_the_file_says_are_told() -> None:
+    bench = Bench({"SERVO13_FUNCTION": 181.0, "SERVO16_FUNCTION": 0.0})
+    try:
+        bench.ready()
+        told = dict(bench.driver.advice())
+        assert told["SERVO13_FUNCTION = 181: lights does not move"] == "set 0, or 59 or 60 for lights"
+        assert told["SERVO16_FUNCTION = 0: camera tilt does not move"] == "set 7"
+        bench.below.parameters |= {"SERVO13_FUNCTION": 59.0, "SERVO16_FUNCTION": 7.0, "MNT1_PITCH_MIN": -90.0}
+        bench.run(40.0)
+        assert [found for found, _ in bench.driver.advice()] == ["MNT1_PITCH_MIN = -90: camera tilt gets another angle"]
     finally:
         bench.close()

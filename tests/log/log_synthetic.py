@@ -44,8 +44,10 @@ from autopilot.core.samples import (
     AhrsSample,
     AltimeterSample,
     CameraFrame,
+    CameraTiltSample,
     DepthSample,
     ExternalPoseSample,
+    GpsSample,
     HullSample,
     ImuSample,
     LaserSample,
@@ -53,6 +55,7 @@ from autopilot.core.samples import (
     MarkerSighting,
     ObstacleTrack,
     PilotSample,
+    PlanarFixSample,
     PoseSample,
     PowerSample,
     VelocitySample,
@@ -280,6 +283,8 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
         LeakSample(t_us=t_us, wet=False),
         HullSample(t_us=t_us, pressure_pa=98_000.0, temperature_c=None),
         PilotSample(t_us=t_us),
+        CameraTiltSample(t_us=t_us, angle_rad=-0.5),
+        GpsSample(t_us=t_us, lat_deg=37.9, lon_deg=23.7, alt_m=0.2, sigma_m=1.5),
     )
     return Inputs(
         t_us=t_us,
@@ -351,7 +356,10 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // 1_000_000)),) if t_us % 1_000_000 == 0 else (),
         estimated_from=EstimatorInputs(
             thrust_n=thrust[:4],
-            samples=(ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None),),
+            samples=(
+                ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None),
+                PlanarFixSample(t_us=t_us, pos_ned_m=np.zeros(2), sigma_m=1.5),
+            ),
         ),
         counters=NavCounters(t_us=t_us, counts={"markers.fused": 7}) if t_us % 1_000_000 == 0 else None,
         shadow=ShadowStatus(

@@ -267,7 +267,7 @@ def test_rates_and_changes(tmp_path: Path) -> None:
     assert counts["/viz/tf"] == 62
     assert counts["/viz/markers"] == 4
     assert read.messages("/rosout")[-1].value["level"] == 50
-    assert read["/in/tick"]["samples"][0] == 14 and read["/in/tick"]["frames"][0] == 1
+    assert read["/in/tick"]["samples"][0] == 16 and read["/in/tick"]["frames"][0] == 1
     assert read["/in/ahrs_raw"]["t_us"][3] == 30_000 - 15_000
     assert json.loads(read.attachments["run.json"])["scenario"] == "paper-tank"
 

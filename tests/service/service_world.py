@@ -25,9 +25,10 @@ class ServiceWorld:
     """Whether there is a camera."""
 
     profile = "px4"
+    vehicle_name = "lbv150"
 
     def __init__(self, params: dict[str, float] | None = None, origin: Origin = ORIGIN) -> None:
-        self.vehicle = load_vehicle("lbv150")
+        self.vehicle = load_vehicle(self.vehicle_name)
         self.params = ParamSet(params or {})
         self.service, self.parts = build_service(
             ServiceSetup(

@@ -34,6 +34,7 @@ _OF_FRAMES = (
     "failed",
     "late",
     "foggy",
+    "tilted",
 )
 _OF_THE_REST = (
     "markers.unknown",
@@ -56,7 +57,7 @@ _OF_THE_REST = (
 def _names() -> tuple[str, ...]:
     names = [*_OF_THE_FILTER]
     for what in _OF_AN_AID:
-        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (8 - len(AID_SENSORS))
+        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (16 - len(AID_SENSORS))
     names += [f"frames.{what}" for what in _OF_FRAMES] + [""] * (16 - len(_OF_FRAMES))
     return (*names, *_OF_THE_REST)
 
