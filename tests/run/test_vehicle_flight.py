@@ -68,7 +68,7 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     flight.run(lambda _: True, 0.01)  # what is said on one tick is heard on the next
     assert any("Pilot has control (STABILIZE): autopilot waits" in line for _, line in flight.texts[count:])
     assert commander.armed and commander.mode is FlightMode.HOLD
-    end_us = flight._t_us + 3_000_000
+    end_us = flight._t_us + 1_500_000  # later he would be at a pillar
 
     def steers(outputs: Outputs) -> bool:
         flight.stick(-150)

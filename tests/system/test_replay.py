@@ -86,9 +86,10 @@ def test_a_wide_view_replays_too(session: OpenSession, tmp_path: Path) -> None:
     session(vehicle="bluerov2", sensors="camera", plan=str(PAPER_PLAN), start=True, duration=1.2, log=log_file).run()
     log = open_log(log_file)
     sightings = log["/in/markers"]
-    assert sightings["count"].max() == 64
-    middles = sightings["corners_px"][-1].reshape(64, 4, 2).mean(axis=1)
-    assert (np.ptp(middles, axis=0) > [500.0, 350.0]).all()
+    last = sightings[-1]
+    assert last["count"] > 50
+    middles = last["corners_px"][: 8 * last["count"]].reshape(-1, 4, 2).mean(axis=1)
+    assert (np.ptp(middles, axis=0) > [250.0, 180.0]).all()
     states = replay(log, read_setup(log))
     assert len(states) > 40
     assert [match.topic for match in matches(log, states) if not match.same] == []
