@@ -243,8 +243,9 @@ class _Part(NamedTuple):
         return np.asarray(inside.all(axis=(1, 2)))
 
     def back(self, seen: "_Seen") -> "_Seen":
-        """What was seen in the part, in pixels of the image."""
-        return seen._replace(corners_px=seen.corners_px + self.corner_px)
+        """What was seen in the part, in pixels of the image, as the log keeps them."""
+        corners_px = (seen.corners_px + self.corner_px).astype(np.float32).astype(np.float64)
+        return seen._replace(corners_px=corners_px)
 
 
 class _Seen(NamedTuple):
