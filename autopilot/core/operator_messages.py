@@ -156,9 +156,15 @@ ESTIMATE_NOT_FINITE = _error(
 ESTIMATE_FINITE = _info("Estimate is finite again")
 ESTIMATOR_REMARK = _warning("{text}", "From an estimator of your own.")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
-STAMPS_OFF = _warning("{name} stamps {off_ms:.0f} ms {what}: calibrate latency")
-FOCAL_LENGTH_OFF = _warning("Focal length {percent:.1f} % too {what}: recalibrate camera")
-LENS_OFF = _warning("Focal length or distortion {percent:.1f} % off: calibrate camera")
+STAMPS_OFF = _warning(
+    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
+)
+FOCAL_LENGTH_OFF = _warning(
+    "Focal length {percent:.1f} % too {what}: recalibrate camera", "The markers' images fit another lens better."
+)
+LENS_OFF = _warning(
+    "Focal length or distortion {percent:.1f} % off: calibrate camera", "The markers' images fit another lens better."
+)
 CAMERA_TILTED = _warning(
     "Camera and AHRS tilt differ {off_deg:.1f} deg: check both",
     "More than their uncertainties explain.",
@@ -180,10 +186,12 @@ CAMERA_TILTED_BACK = _info("Camera is tilted back: markers are used again")
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."
 )
-MARKERS_SWAPPED = _warning("Markers {number} and {other} are swapped in the map")
-MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}")
-MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none")
-MARKER_OFF = _warning("Marker {number} lies {off_cm:.1f} cm {way} of its map place")
+MARKERS_SWAPPED = _warning("Markers {number} and {other} are swapped in the map", "", "Correct the map.")
+MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}", "", "Correct the map or the marker.")
+MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Add it to the map or remove it.")
+MARKER_OFF = _warning(
+    "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
+)
 ACCELEROMETER_WRONG = _warning(
     "Accelerometer wrong: keep markers in view", "It contradicts fixes or depth.", "Check the AHRS's range."
 )
@@ -192,9 +200,13 @@ GYRO_WRONG = _warning(
 )
 FIXES_DISAGREE = _warning("Markers disagree with dead reckoning: check map", "", "Check the camera's calibration too.")
 RANGE_DISAGREES = _warning("Laser and marker height disagree: calibrate camera", "", "Check the laser's mounting too.")
-MAP_DISAGREES = _warning("Marker map disagrees: check it or survey it", "", "Run `autopilot markers survey`.")
-CALIBRATION_SUSPECT = _warning("Camera calibration suspect: see messages")
-REPEATED_RESETS = _warning("Position reset repeatedly: check map, camera")
+MAP_DISAGREES = _warning(
+    "Marker map disagrees: check it or survey it", "Markers contradict each other.", "Run `autopilot markers survey`."
+)
+CALIBRATION_SUSPECT = _warning("Camera calibration suspect: see messages", "Pictures fit another calibration better.")
+REPEATED_RESETS = _warning(
+    "Position reset repeatedly: check map, camera", "The estimate jumped to the fixes several times."
+)
 ACCELEROMETER_WRONG_POSES = _warning(
     "Accelerometer wrong: keep position fixes", "It contradicts fixes or depth.", "Check the AHRS's range."
 )
@@ -207,12 +219,12 @@ POSE_LATENCY_SUSPECT = _warning("Pose latency suspect: see messages")
 REPEATED_RESETS_POSES = _warning("Position reset repeatedly: check its source")
 POSES_WRONG = _warning(
     "Poses wrong: they show another place or time",
-    "",
+    "They do not follow gyro and vehicle model.",
     "Check their source and its clock.",
 )
 CAMERA_WRONG = _warning(
     "Camera wrong: it shows another place or time",
-    "",
+    "Pictures do not follow gyro and vehicle model.",
     "Check the video source.",
 )
 
@@ -221,7 +233,7 @@ CAMERA_WRONG = _warning(
 LATENCY_NORMAL = _info("Command latency is back to normal")
 LATENCY = _warning(
     "Command latency {delay_s:.1f} s: check the tether",
-    "",
+    "Time from command to motion.",
     "Check network and flight controller load too.",
 )
 REDUNDANT_LOSS = _warning(
@@ -240,7 +252,7 @@ THRUSTERS_UNJUDGED = _info("Thrust not estimated, used too little: {names}", "A 
 NO_FREE_PATH = _warning("No free path to the goal: holding; move the goal")
 FENCE_TOO_NEAR = _warning("New fence: {lack_m:.2f} m too near, moving out")
 FENCE_GAP = _warning("{text}", "A gap in the fence or between obstacles that no leg needs (FENCE_GAP_CHK).")
-MOTOR_TEST = _info("Motor test: {number} {name}{limit}")
+MOTOR_TEST = _info("Motor test: {number} {name}{limit}", "", "Keep hands off.")
 MOTOR_TEST_OVER = _info("Motor test over")
 MOTOR_TEST_ENDED = _info("Motor test over: {reason}")
 
@@ -257,7 +269,7 @@ CAMERA_BRIGHT = _warning("Camera over-exposed: shorten exposure, dim light")
 CAMERA_FLAT = _warning("Camera shows one grey level: check lens, cable")
 CAMERA_TORN = _warning("Camera pictures are torn: check its cable")
 CAMERA_FROZEN = _warning("Camera frozen, same picture again: restart it")
-CAMERA_WRONG_SIZE = _warning("Picture size is not the vehicle file's: check it")
+CAMERA_WRONG_SIZE = _warning("Picture size is not the vehicle file's: check it", "The calibration does not apply.")
 CAMERA_WRONG_TYPE = _warning("Camera sends no 8-bit pictures: set its format")
 CAMERA_FOGGY = _warning("Camera foggy: clean its lens, or water is turbid")
 CAMERA_SILENT = _warning("Camera sends no pictures: check its cable")
@@ -357,7 +369,7 @@ LOGS_NO_FOLDER = _warning("Logs not erased: there is no log folder")
 LOGS_NOT_ERASED = _warning("Logs not erased: {error}")
 LOG_MISSING = _warning("There is no log {number}: list the logs again")
 LOG_UNREADABLE = _warning("Log {number} cannot be read: list the logs again")
-STICKS_UNUSED = _info("Pitch and roll sticks have no effect here")
+STICKS_UNUSED = _info("Pitch and roll sticks have no effect here", "MANUAL_CONTROL: x, y, z and r are used.")
 STICKS_OF_ANOTHER = _warning("Sticks ignored: {client} steers", "One client steers at a time.")
 STICK_BELOW_ZERO = _notice("Vertical stick below 0: interpreted as PILOT_Z 1", "Range -1000 to 1000, neutral 0.")
 STICK_NOT_CENTRED = _warning(
@@ -403,8 +415,8 @@ BUOYANCY_BEYOND_THRUST = _warning(
 )
 BUOYANCY_OFF = _warning("{way} than its file by {force_n:.1f} N: trim it", "", "Change ballast or the vehicle file.")
 WORK_FAILED = _debug("{work}: {kind}: {error}", "An exception in background work.")
-NO_ENERGY_PLAN = _warning("No energy plan: flying the plain route")
-ROUTE_SEARCH_FAILED = _warning("Route search failed: holding, send another goal")
+NO_ENERGY_PLAN = _warning("No energy plan: flying the plain route", "The reason is in the log.")
+ROUTE_SEARCH_FAILED = _warning("Route search failed: holding, send another goal", "The exception is in the log.")
 
 # Service, links and drivers
 
@@ -412,7 +424,7 @@ START_WARNING = _warning("{text}", "A warning from the start of the service.")
 PLANS_NOT_SAVED = _warning("Plans not saved: {cause}", "A restart loses the present plans.", "Check the disk.")
 LOG_STOPPED = _warning("Log stopped: {cause}", "Nothing is recorded until the next arming.", "Check the disk.")
 LOG_DISK_SLOW = _warning("Log loses messages: disk too slow")
-LOG_INCOMPLETE = _warning("Log misses messages: internal fault")
+LOG_INCOMPLETE = _warning("Log misses messages: internal fault", "", "Report it.")
 STATE_NOT_KEPT = _warning(
     "No arming: {text}", "Stored plans or parameters are lost or differ.", "Check them, then set STATE_ACCEPT."
 )
