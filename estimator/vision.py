@@ -14,7 +14,6 @@ half the noise. Histogram equalisation (CLAHE) costs more and detects less.
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -101,8 +100,7 @@ class MarkerDetector:
     def _predicted(self, grey: Any, hazy: bool, hint: Hint) -> list["_Seen"]:
         """Markers where they should be: in the image, or around its middle where that has enough for a sighting."""
         seen, corners, margin_px = self._expected(hint)
-        count = int(self._camera.inside(corners).all(axis=1).sum())
-        part = _Part.middle_of(grey, math.sqrt(VISION.most_expected / max(count, VISION.most_expected)))
+        part = _Part.middle_of(grey, _share_with(VISION.most_expected, corners, grey.shape))
         corners = corners - part.corner_px
         kinds = self._markers.ids[seen] // ID_SPAN
         near = part.near(corners, margin_px)
@@ -212,6 +210,13 @@ class MarkerDetector:
         exact = self._markers.dictionaries[kind] in EXACT
         correct = 0 if exact else whole.maxCorrectionBits
         return cv2.aruco.Dictionary(whole.bytesList[ids % ID_SPAN], whole.markerSize, correct)
+
+
+def _share_with(count: int, corners_px: FloatArray, shape: tuple[int, ...]) -> float:
+    """Share of an image's width and height around its middle that holds so many of the markers (n, 4, 2), at most 1."""
+    half_px = 0.5 * np.array(shape[::-1])
+    reach = np.abs(corners_px / half_px - 1.0).max(axis=(1, 2))
+    return 1.0 if len(reach) <= count else min(1.0, float(np.partition(reach, count - 1)[count - 1]))
 
 
 class _Part(NamedTuple):
