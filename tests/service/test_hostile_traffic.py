@@ -47,7 +47,7 @@ def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
     pictured = WORLD.parts.server
     assert set(pictured._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS} - REQUESTS
     assert pictured._to_camera is not None
-    assert set(pictured._to_camera._table) == {*CAMERA_COMMANDS, 204, 205, 512}
+    assert set(pictured._to_camera._table) == {*CAMERA_COMMANDS, 204, 205, 512, 1000, 1001}
 
 
 def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:

@@ -15,9 +15,10 @@ from autopilot.sitl.scenario import load_scenario
 from tests.lossy_link import LinkConditions, Proxy
 
 TETHER = LinkConditions(latency_s=0.1, loss=0.05)
-TRIES = 30
-"""Until the service has read the flight controller's parameters and found its position."""
-WRONG = ("clock jumped", "Position reset", "wrong", "suspect", "another sender", "not confirmed")
+TRIES = 300
+"""Until the service has read the flight controller's parameters and found its position: seconds on an idle machine."""
+WRONG = ("Position reset", "another sender", "not confirmed")
+"""What a link does, and a busy machine does not."""
 
 
 @contextmanager
