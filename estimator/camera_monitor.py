@@ -21,7 +21,6 @@ from autopilot.estimator.history import Node
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.stamp_monitor import StampMonitor
 from autopilot.estimator.states import DOWN, VEL, YAW
-from autopilot.estimator.tilt import trimmed_share
 
 NO_CAMERA = Camera(
     width_px=1,
@@ -109,7 +108,8 @@ class CameraMonitor(Monitor):
         self._mounting = _of_mounting(camera)
         mounting_rad = max(camera.mounting_sigma_rad[:2])
         self._tilt_most_rad = CAMERA_MONITOR.doubted * math.hypot(mounting_rad, CAMERA_MONITOR.ahrs_tilt_rad)
-        self._trimmed_share = trimmed_share(mounting_rad)
+        self.tilt_off_rad = 0.0
+        """Tilt of the camera against the AHRS."""
         self._tilted_us: int | None = None
         self._tilt_reported = False
         self._late_reported_s: float | None = None
@@ -158,23 +158,20 @@ class CameraMonitor(Monitor):
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
         """See :class:`Monitor`: that the calibration is wrong, as has been reported to the operator."""
-        self._check_tilt(t_us, newest)
+        self._check_tilt(t_us)
         least_s = max(CAMERA_MONITOR.late_still_s, CAMERA_MONITOR.doubted * self._stamp_sigma_s)
         still_late = self._late_reported_s is not None and abs(self.stamps.late_s) >= least_s
         return (NavDoubt.CALIBRATION,) if self._lens_doubted or still_late else ()
 
-    def _check_tilt(self, t_us: int, newest: Node) -> None:
-        """Report a tilt of the camera against the AHRS that neither explains: what vision trims the AHRS by."""
-        inertial = newest.moment.inertial
-        roll_rad, pitch_rad = inertial.raw_tilt_rad
-        off_rad = math.hypot(roll_rad - inertial.roll_rad, pitch_rad - inertial.pitch_rad) / self._trimmed_share
-        if not self._pictures or off_rad <= self._tilt_most_rad:
+    def _check_tilt(self, t_us: int) -> None:
+        """Report a tilt of the camera against the AHRS that neither explains."""
+        if not self._pictures or self.tilt_off_rad <= self._tilt_most_rad:
             self._tilted_us = None
         elif self._tilted_us is None:
             self._tilted_us = t_us
         elif not self._tilt_reported and t_us - self._tilted_us >= CAMERA_MONITOR.tilted_us:
             self._tilt_reported = True
-            self._texts.append(notices.CAMERA_TILTED(off_deg=math.degrees(off_rad)).text)
+            self._texts.append(notices.CAMERA_TILTED(off_deg=math.degrees(self.tilt_off_rad)).text)
 
     def check_stamps(self) -> bool:
         """Whether a latency of the stamps has been detected, or has changed."""

@@ -76,6 +76,7 @@ class Fixes:
             self._learn_sheets(node, fix, known)
             if fix.tilt_rad is not None and node.moment.inertial.real and self._camera.lens_fits:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
+                self._camera.tilt_off_rad = self._trim.difference_rad
             return
         seen = self._against_reckoning(node, fix, judged)
         aid.trust.see(fix, seen)

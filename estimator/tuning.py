@@ -33,7 +33,7 @@ GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
 ACCEL_BIAS_WALK = {
     ProcessNoiseMode.NOMINAL: 0.03,
-    ProcessNoiseMode.TRIMMED: 0.006,
+    ProcessNoiseMode.TRIMMED: 0.015,
     ProcessNoiseMode.COASTING: 0.05,
     ProcessNoiseMode.BLIND: 0.03,
     ProcessNoiseMode.MODEL: 0.03,

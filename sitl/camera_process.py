@@ -34,6 +34,9 @@ STREAM_US = 50_000
 """What encoder and network of an IP camera add at least."""
 LOOK_S = 0.004
 """The process looks for pictures that are due this often."""
+RECENT = 6
+"""Exposures by which pictures are timed. A simulation that fell behind the clock stays behind: by the punctual ones of
+some seconds its pictures would come before they are due."""
 NICER = 5
 """On a busy computer pictures are lost, not control steps."""
 END_S = 5.0
@@ -225,7 +228,7 @@ def _run(feed: CameraFeed, server: MjpegServer | RtpSender, messages: "SimpleQue
             if message is None:
                 return
             if isinstance(message, Exposure):
-                time = time or LoopTime()
+                time = time or LoopTime(RECENT)
                 time.observe(message.truth.t_us, message.clock_us)
                 feed.observe(message.truth)
             else:
