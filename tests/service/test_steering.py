@@ -164,7 +164,7 @@ def test_buttons_do_what_their_parameters_say() -> None:
             "BTN0_FUNCTION": 2,
             "BTN1_FUNCTION": 8,
             "BTN2_FUNCTION": 42,
-            "BTN3_FUNCTION": 22,
+            "BTN3_FUNCTION": 26,
             "BTN4_FUNCTION": 4,
             "BTN5_FUNCTION": 31,
             "BTN6_FUNCTION": 33,
@@ -180,7 +180,7 @@ def test_buttons_do_what_their_parameters_say() -> None:
     world.steer(0.2, buttons=4)
     world.steer(0.2, buttons=8)
     text = world.texts()
-    assert "Mode POSHOLD" in text and "gain 60 %" in text and "22 is not offered" in text
+    assert "Mode POSHOLD" in text and "gain 60 %" in text and "26 is not offered" in text
     world.steer(0.2, buttons=32)
     world.steer(0.2, buttons=64)
     carried = world.steer(0.2, buttons=128).payload
