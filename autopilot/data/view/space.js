@@ -106,7 +106,7 @@ export class SpaceView {
 
   // `shown`: what the plan is drawn from.
   draw(shown, palette) {
-    if (!this.on || !this.world) return;
+    if (!this.on || !this.world || this.world.context.isContextLost()) return;
     this.last = [shown, palette];
     const box = this.canvas.getBoundingClientRect();
     if (box.bottom < 0 || box.top > window.innerHeight) return;

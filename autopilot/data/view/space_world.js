@@ -34,6 +34,7 @@ export function tubeEdges(points, radii) {
 export class World {
   constructor(THREE, canvas, context) {
     this.THREE = THREE;
+    this.context = context;
     this.renderer = new THREE.WebGLRenderer({ canvas, context });
     this.camera = new THREE.PerspectiveCamera(FOV_DEG, 1, 0.1, 100);
     this.scene = new THREE.Scene();
