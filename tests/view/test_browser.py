@@ -36,7 +36,7 @@ def test_the_page_in_a_browser(flight: Run, screen: str) -> None:
         page.open(f"http://127.0.0.1:{flight.port}/")
         page.wait("document.getElementById('armed')?.textContent === 'armed'")
         page.wait("document.querySelectorAll('#thrusters .bar').length === 4")
-        assert page.ask(PAINTED % "plan") > 20 and page.ask(PAINTED % "side") > 10
+        page.wait(f"{PAINTED % 'plan'} > 20 && {PAINTED % 'side'} > 10")  # drawn with the next frame
         assert page.ask("document.documentElement.scrollWidth") <= width, "nothing sticks out sideways"
         if phone:
             sizes = page.ask("[...document.querySelectorAll('button')].map((b) => b.getBoundingClientRect().height)")
