@@ -63,7 +63,9 @@ class MarkerDetector:
         self._floor_m = markers.floor_m
         self._dictionaries = [opencv_dictionary(name) for name in markers.dictionaries]
         self._patterns = [patterns_of(name) for name in markers.dictionaries]
-        self._known: IntArray = np.unique(markers.ids)
+        known = np.unique(markers.ids)
+        self._known = [known[known // ID_SPAN == kind] for kind in np.unique(known // ID_SPAN)]
+        """Ids of the map, one group for each dictionary."""
         self._quick = quick
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
@@ -88,11 +90,9 @@ class MarkerDetector:
     def _blind(self, grey: Any, hazy: bool) -> list["_Seen"]:
         """Markers of the whole map. If quick: in the middle of the image, in all of it where these are too few, and
         again where these are."""
-        kinds = self._known // ID_SPAN
-        groups = [self._known[kinds == kind] for kind in np.unique(kinds)]
         for share in (VISION.middle, 1.0) if self._quick else (1.0,):
             part = _Part.middle_of(grey, share)
-            each = [part.back(self._search(part.of(grey), hazy, ids, share)) for ids in groups]
+            each = [part.back(self._search(part.of(grey), hazy, ids, share)) for ids in self._known]
             if sum(len(some.ids) for some in each) >= VISION.enough:
                 break
         return each
