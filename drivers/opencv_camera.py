@@ -162,11 +162,13 @@ class _Grabber:
                     self.failed = "gives no more pictures"
                     return
                 grabbed_us = machine_us()
-                beat_us, sigma_us = beat.stamp(grabbed_us), beat.sigma_us
+                beat_us, stamped_us = beat.stamp(grabbed_us), None
                 if self._stamped:
                     stamped_us = stream.stamp(grabbed_us, 1e3 * self._capture.get(cv2.CAP_PROP_POS_MSEC))
-                    if stamped_us is not None:
-                        beat_us, sigma_us = stamped_us, STREAM_SIGMA_US
+                if stamped_us is None:
+                    sigma_us = beat.sigma_us
+                else:
+                    beat_us, sigma_us = stamped_us, STREAM_SIGMA_US
                 good, image = self._capture.retrieve()
                 if not good or image is None:
                     self.missed += 1
