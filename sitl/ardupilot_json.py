@@ -61,7 +61,7 @@ def state_line(truth: Truth, t_s: float, floor_m: float | None, pressure_frd_m: 
     state: dict[str, object] = {
         "timestamp": t_s,
         "imu": {"gyro": truth.rate_frd_rad_s.tolist(), "accel_body": truth.accel_frd_m_s2.tolist()},
-        "position": [north, east, down + float(r[2] @ np.array(pressure_frd_m))],
+        "position": [north, east, truth.depth_of(np.array(pressure_frd_m))],
         "attitude": truth.rpy_rad.tolist(),
         "quaternion": truth.quat.tolist(),
         "velocity": velocity.tolist(),

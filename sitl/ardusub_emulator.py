@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
@@ -438,7 +437,7 @@ class ArduSubEmulator:
                 self._send(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))
             case "SCALED_PRESSURE2":
                 if t_us - self._pressure_us >= 1e6 / self.pressure_hz - 1000.0:
-                    depth_m = float(truth.pos_ned_m[2] + r_ned_from_frd(truth.rpy_rad)[2] @ self._pressure_frd_m)
+                    depth_m = truth.depth_of(self._pressure_frd_m)
                     noise = PRESSURE_NOISE_PA * float(self._rng.standard_normal())
                     self._pressure_hpa = 0.01 * (GROUND_PA + WATER_KG_M3 * G * depth_m + noise)
                     self._pressure_us = t_us

@@ -30,11 +30,9 @@ class SimDepthSensor(OptionalSensor[DepthSample, float]):
         self._offset_m += self._walk_m * noise[0]
         if self._lost(truth.t_us, chance[0]):
             return
-        turned = r_ned_from_frd(truth.rpy_rad)
-        below_m = float(turned[2] @ self._mount_frd_m)
-        depth_m = float(truth.pos_ned_m[2]) + below_m + self._offset_m + self._sensor.sigma_m * noise[1]
+        depth_m = truth.depth_of(self._mount_frd_m) + self._offset_m + self._sensor.sigma_m * noise[1]
         if self._world.waves is not None:
-            place = truth.pos_ned_m + turned @ self._mount_frd_m
+            place = truth.pos_ned_m + r_ned_from_frd(truth.rpy_rad) @ self._mount_frd_m
             depth_m += self._world.waves.pressed_m(place.tolist(), truth.t_us * 1e-6)
         if chance[1] < self._sensor.outlier_probability:
             depth_m += self._sensor.outlier_m * (2.0 * chance[2] - 1.0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from autopilot.core import compiled
 from autopilot.core.errors import ConfigError
-from autopilot.core.frames import FloatArray, quat_from_rpy
+from autopilot.core.frames import FloatArray, quat_from_rpy, r_ned_from_frd
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
@@ -73,6 +73,10 @@ class Truth:
     """Deepest penetration since the start."""
     emerged_m: float
     """Height of the hull's top above the surface, 0 = submerged."""
+
+    def depth_of(self, point_frd_m: FloatArray) -> float:
+        """Depth of a point (3,) of the body, given from the centre of gravity [m]."""
+        return float(self.pos_ned_m[2]) + float(r_ned_from_frd(self.rpy_rad)[2] @ point_frd_m)
 
 
 class _Instant(NamedTuple):
