@@ -58,9 +58,7 @@ class CameraSetup:
     scenario: Scenario
     vehicle: Vehicle
     seed: int
-    host: str
-    port: int
-    rtp: bool
+    place: CameraPlace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +85,7 @@ class CameraProcess(Closing):
         if scenario.tank is None:
             raise ConfigError(f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera")
         sensor, eye = scenario.sensors.camera, vehicle.eye
-        self._setup = CameraSetup(scenario, vehicle, seed, host, port, rtp)
+        self._setup = CameraSetup(scenario, vehicle, seed, CameraPlace(host, port, rtp))
         self._rate_hz = sensor.rate_hz or eye.rate_hz
         latency_s = eye.latency_s if sensor.latency_s is None else sensor.latency_s
         self.latency_s = CAMERA_FEED.transport_fraction * latency_s + 1e-6 * STREAM_US
@@ -105,9 +103,10 @@ class CameraProcess(Closing):
     @property
     def url(self) -> str:
         """For a camera driver; the port is known once it is open."""
-        if self._setup.rtp:
-            return f"rtp://{self._setup.host}:{self._setup.port}"
-        return f"http://{self._setup.host}:{self._setup.port}/video.mjpg"
+        place = self._setup.place
+        if place.rtp:
+            return f"rtp://{place.host}:{place.port}"
+        return f"http://{place.host}:{place.port}/video.mjpg"
 
     def open(self) -> None:
         """Start it and wait until it serves. ConfigError if it cannot."""
@@ -125,12 +124,13 @@ class CameraProcess(Closing):
             pickle.dump(self._setup, to_child)
             to_child.flush()
             said = _pipe(child.stdout).readline()
+        place = self._setup.place
         answer = json.loads(said or '{"error": "it ended; its message is above"}')
         if "error" in answer:
             self.close()
-            raise ConfigError(f"camera at {self._setup.host}:{self._setup.port}: {answer['error']}")
+            raise ConfigError(f"camera at {place.host}:{place.port}: {answer['error']}")
         os.set_blocking(_pipe(child.stdin).fileno(), False)
-        self._setup = replace(self._setup, port=answer["port"])
+        self._setup = replace(self._setup, place=place._replace(port=answer["port"]))
 
     def close(self) -> None:
         child, self._child = self._child, None
@@ -197,9 +197,7 @@ def serve() -> None:
     setup: CameraSetup = pickle.load(stream)
     feed = simulated_camera(setup.scenario, setup.vehicle, setup.seed)
     feed.paced = True
-    server: MjpegServer | RtpSender = MjpegServer(setup.port, setup.host)
-    if setup.rtp:
-        server = RtpSender(setup.host, setup.port, setup.scenario.sensors.camera.rate_hz or setup.vehicle.eye.rate_hz)
+    server = _sender(setup)
     try:
         server.open()
     except (OSError, ConfigError) as error:
@@ -214,6 +212,13 @@ def serve() -> None:
         print(json.dumps({"port": server.port}), flush=True)
         _run(feed, server, messages)
     server.close()
+
+
+def _sender(setup: CameraSetup) -> MjpegServer | RtpSender:
+    place = setup.place
+    if not place.rtp:
+        return MjpegServer(place.port, place.host)
+    return RtpSender(place.host, place.port, setup.scenario.sensors.camera.rate_hz or setup.vehicle.eye.rate_hz)
 
 
 def _run(feed: CameraFeed, server: MjpegServer | RtpSender, messages: "SimpleQueue[Exposure | Fault | None]") -> None:
