@@ -18,6 +18,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.frame_clock import AGAIN, STREAM_SIGMA_US
 from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.retry import SteadySensor
 from autopilot.run.children import autopilot_command, free_port
@@ -30,6 +31,7 @@ from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")
 VEHICLE = load_vehicle("bluerov2")
+STREAM_SIGMA_S = 1e-6 * STREAM_SIGMA_US
 
 
 class Watched:
@@ -49,7 +51,7 @@ class Watched:
                 t_us = max(t_us + 5_000, round(1e6 * (time.monotonic() - begin_s)))
                 self.world.advance(t_us)
                 self.camera.observe(self.world.truth)
-                self.frames += driver.poll(t_us)
+                self.frames += driver.poll(round(1e6 * (time.monotonic() - begin_s)))  # however long the world took
                 if look():
                     return
                 time.sleep(0.005)
@@ -81,14 +83,15 @@ def test_it_sends_what_a_vehicles_own_camera_sends() -> None:
     """H.264 over RTP: in time, stamped by the sender."""
     with CameraProcess(SCENARIO, VEHICLE, 1, port=free_port(), rtp=True) as camera:
         watched = Watched(camera)
-        watched.until(lambda: len(watched.frames) >= 80)
+        watched.until(lambda: sum(frame.stamp_sigma_s == STREAM_SIGMA_S for frame in watched.frames) >= 20)
         assert camera.url.startswith("rtp://127.0.0.1:")
     frames = watched.frames
     assert frames[-1].image_bgr.shape == (480, 640, 3) and frames[-1].image_bgr.std() > 20.0
-    assert frames[0].stamp_sigma_s > 0.0 and frames[-1].stamp_sigma_s == pytest.approx(1e-3)
-    stamps_us = np.array([frame.t_us for frame in frames if frame.stamp_sigma_s == 1e-3])
+    assert frames[0].stamp_sigma_s > STREAM_SIGMA_S
+    stamps_us = np.array([frame.t_us for frame in frames if frame.stamp_sigma_s == STREAM_SIGMA_S])
     steps = np.diff(stamps_us) * VEHICLE.eye.rate_hz * 1e-6
-    assert np.abs(steps - np.round(steps)).max() < 0.2, "on the camera's beat, whatever the machine does"
+    off_beat = int((np.abs(steps - np.round(steps)) > 0.2).sum())
+    assert off_beat <= 1 + len(steps) // AGAIN, "on the camera's beat but where the offset is estimated anew"
 
 
 def test_h264_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
