@@ -56,6 +56,9 @@ IDLE_SPEED_M_S = 0.03
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 updates per second that share it."""
 
+LEAST_EXCESS, MOST_EXCESS = -0.8, 4.0
+"""Of drag and thrust, as the model uses them: drag below -1 would drive the vehicle, and a blind step run away."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModelAcceleration(Measurement):
@@ -164,7 +167,7 @@ def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatAr
     u, v, r, c, s = _relative(x, moment)
     m11, m22 = model.mass_kg[:2]
     lin, quad = model.linear_drag, model.quadratic_drag
-    more = 1.0 + float(x[DRAG_EXCESS])
+    more = 1.0 + _share(x.item(DRAG_EXCESS))
     fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
     cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
     jac = np.zeros((3, NX))
@@ -201,7 +204,7 @@ def expected_acceleration(
     u, v, r, c, s = _relative(x, moment)
     du, dv, dw, dr = body_acceleration(model, (u, v, x.item(VEL_DOWN) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
     gn, ge = x.item(CURRENT_RATE_NORTH), x.item(CURRENT_RATE_EAST)
-    excess, more = x.item(DRAG_EXCESS), x.item(THRUST_EXCESS)
+    excess, more = _share(x.item(DRAG_EXCESS)), _share(x.item(THRUST_EXCESS))
     drag_u, drag_v = _drag(model, u, v)
     push_u, push_v = _push(model, moment.thrust_n)
     return (
@@ -216,6 +219,11 @@ def idle(moment: Moment, x: FloatArray) -> bool:
     if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
         return False
     return math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST)) < IDLE_SPEED_M_S
+
+
+def _share(excess: float) -> float:
+    """As the model uses a share of drag or thrust."""
+    return min(max(excess, LEAST_EXCESS), MOST_EXCESS)
 
 
 def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:

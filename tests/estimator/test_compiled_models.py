@@ -10,7 +10,7 @@ from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMod
 from autopilot.estimator.measure_model import VehicleAcceleration, acceleration_jacobian, expected_acceleration
 from autopilot.estimator.measurement import Moment
 from autopilot.estimator.motion import MotionModel, add_model, fill_jacobian, moved
-from autopilot.estimator.states import NX
+from autopilot.estimator.states import DRAG_EXCESS, NX, VEL
 from tests.hostile_numbers import HOSTILE, agree, outcome, with_one
 
 pytestmark = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
@@ -61,6 +61,22 @@ def test_what_was_asked_last_is_not_told_of_another_state_or_moment() -> None:
     first, second, third = look.at(x, moment), look.at(x.copy() + 0.1, moment), look.at(x, other)
     assert len({first, second, third}) == 3
     assert look.at(x, moment) == first
+
+
+@pytest.mark.parametrize("excess", [-10.0, -1.5, -1.0, 0.0, 3.0, 50.0])
+def test_drag_always_brakes(excess: float) -> None:
+    """A state beyond what drag can be is no engine: a blind step would run away with it."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        model, x = model_of(rng, 4), np.zeros(NX)
+        x[VEL], x[DRAG_EXCESS] = rng.normal(size=3), excess
+        inertial = Inertial(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
+        moment = Moment(inertial, (0.0,) * 4)
+        for ahead, right, *_ in (
+            VehicleAcceleration(model, (0.3, 0.4)).at(x, moment),
+            expected_acceleration(model, (0.3, 0.4), x, moment),
+        ):
+            assert ahead * x[VEL][0] <= 0.0 and right * x[VEL][1] <= 0.0
 
 
 def model_of(rng: np.random.Generator, thrusters: int) -> Model4:

@@ -188,6 +188,12 @@ static double slope(double a, double smoothing) {
     return (2.0 * a2 + smoothing) / sqrt(a2 + smoothing);
 }
 
+/* A share that drag or thrust exceeds the model's by: below the first it would drive the vehicle instead of braking it,
+ * above the second it is no vehicle of this file (estimator/measure_model.py). */
+static double share(double excess) {
+    return excess < -0.8 ? -0.8 : excess > 4.0 ? 4.0 : excess;
+}
+
 EXPORT void model_look(ModelStruct *t) {
     const double *x = t->x, *m = t->mass, *follow = t->follow;
     const double c = cos(x[YAW]), s = sin(x[YAW]);
@@ -203,13 +209,14 @@ EXPORT void model_look(ModelStruct *t) {
     const double gn = x[CURRENT_RATE_NORTH], ge = x[CURRENT_RATE_EAST];
     const double drag_u = drag[0] / m[0], drag_v = drag[1] / m[1], push_u = force[0] / m[0], push_v = force[1] / m[1];
     const double du = (force[0] - drag[0] + m[1] * v * r) / m[0], dv = (force[1] - drag[1] - m[0] * u * r) / m[1];
-    t->acceleration[0] = du - r * v - x[DRAG_EXCESS] * drag_u + x[THRUST_EXCESS] * push_u
+    const double excess = share(x[DRAG_EXCESS]), stronger = share(x[THRUST_EXCESS]);
+    t->acceleration[0] = du - r * v - excess * drag_u + stronger * push_u
                          + follow[0] * (c * gn + s * ge);
-    t->acceleration[1] = dv + r * u - x[DRAG_EXCESS] * drag_v + x[THRUST_EXCESS] * push_v
+    t->acceleration[1] = dv + r * u - excess * drag_v + stronger * push_v
                          + follow[1] * (c * ge - s * gn);
     t->acceleration[2] = (force[2] - drag[2] - t->buoyancy_excess) / m[2];
     t->acceleration[3] = (force[3] - drag[3] + (m[0] - m[1]) * u * v) / m[3];
-    const double more = 1.0 + x[DRAG_EXCESS];
+    const double more = 1.0 + excess;
     const double fu = -more * (t->linear[0] + t->quadratic[0] * slope(u, t->smoothing)) / m[0];
     const double fv = -more * (t->linear[1] + t->quadratic[1] * slope(v, t->smoothing)) / m[1];
     const double fw = -(t->linear[2] + t->quadratic[2] * slope(w, t->smoothing)) / m[2];
