@@ -109,7 +109,7 @@ class AidedEstimator(Estimator):
         self._mounting_rad2 = max(camera.mounting_sigma_rad[:2]) ** 2
         self._trim = TiltTrim(max(camera.mounting_sigma_rad[:2]))
         self._monitors = monitors = Monitors(
-            Evidence(self._sources.laser),
+            Evidence(self._sources.laser, self._sources.depth),
             ImuMonitor(self._sources.model.vehicle, trust, self._water),
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
             None if markers is None else MapMonitor(markers),

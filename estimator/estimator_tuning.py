@@ -214,6 +214,17 @@ EVIDENCE = EvidenceTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class DepthTuning:
+    offset_m: float = 0.2
+    """A zero that is farther from the surface than weather (10 hPa are 0.1 m) and mounting explain."""
+    ratio_gain: float = 0.05
+    """Smooths the squared residuals over two seconds of samples; two outliers in a row are not enough."""
+
+
+DEPTH = DepthTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class FixMotionTuning:
     span_us: int = 4_000_000
     """At most so long a run of fixes is held against dead reckoning."""

@@ -10,6 +10,7 @@ from autopilot.core.messages import NavDoubt
 from autopilot.estimator.estimator_tuning import EVIDENCE, INERTIAL_MONITOR
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
+from autopilot.estimator.measure_depth import DepthAid
 from autopilot.estimator.measure_laser import LaserAid
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.monitor import NOTHING, Monitor
@@ -19,9 +20,9 @@ from autopilot.estimator.states import LASER_BIAS
 class Evidence(Monitor):
     """Judges every fix that met its gate."""
 
-    def __init__(self, laser: LaserAid) -> None:
+    def __init__(self, laser: LaserAid, depth: DepthAid) -> None:
         super().__init__()
-        self._laser = laser
+        self._laser, self._depth = laser, depth
         self.denied = 0
         """Fixes rejected in a row that agree among themselves."""
         self.jumps = 0
@@ -87,6 +88,8 @@ class Evidence(Monitor):
             found.add(NavDoubt.CAMERA)
         if self._denies_height(newest):
             found.add(NavDoubt.RANGE)
+        if self._depth.disagrees(newest.state.x):
+            found.add(NavDoubt.DEPTH)
         if len(self._resets_us) == EVIDENCE.resets and t_us - self._resets_us[0] <= EVIDENCE.resets_us:
             found.add(NavDoubt.RESETS)
         return found

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.messages import AidStatus, MarkerFit
 from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
+from autopilot.estimator.estimator_tuning import DEPTH, EVIDENCE
+from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.inertial import down_of
 from autopilot.estimator.measurement import MAX_SIGMA_M, Measurement, Moment
 from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN, one
@@ -63,6 +66,18 @@ class DepthAid(ScalarAid[DepthSample]):
     def __init__(self, vehicle: Vehicle, floor_depth_m: float | None) -> None:
         super().__init__(vehicle.depth_sensor.time_offset_s)
         self._mount_frd_m = vehicle.depth_sensor.position_frd_m
+
+        self._ratio = 0.0
+
+    def judged(
+        self, t_us: int, now_us: int, innovation: Innovation, fused: bool, fit: MarkerFit | None = None
+    ) -> AidStatus:
+        self._ratio += DEPTH.ratio_gain * (min(innovation.test_ratio, EVIDENCE.ratio_most) - self._ratio)
+        return super().judged(t_us, now_us, innovation, fused, fit)
+
+    def disagrees(self, x: FloatArray) -> bool:
+        """Whether its zero is far from the fixes' surface, or it is noisier than its samples say."""
+        return abs(x.item(DEPTH_OFFSET)) > DEPTH.offset_m or self._ratio > EVIDENCE.ratio_denies
 
     def measured(self, sample: DepthSample) -> Depth | None:
         return self.counted(depth_from_sample(sample, self._mount_frd_m))

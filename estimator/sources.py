@@ -11,6 +11,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid, ScalarAid
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_depth import DepthAid
 from autopilot.estimator.measure_external import ExternalAid
 from autopilot.estimator.measure_gps import GpsAid
 from autopilot.estimator.measure_heading import HeadingAid
@@ -44,6 +45,7 @@ class Sources:
         )
         """In the order of their counts."""
         self.gps = next(aid for aid in self.all if isinstance(aid, GpsAid))
+        self.depth = next(aid for aid in self.all if isinstance(aid, DepthAid))
         self.begun_us: int | None = None
         """Time of the fix that the estimate began at."""
         self.fixes = tuple(aid for aid in self.all if isinstance(aid, FixAid))

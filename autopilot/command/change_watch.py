@@ -25,6 +25,7 @@ DOUBT_TEXTS = {
     NavDoubt.CALIBRATION: notices.CALIBRATION_SUSPECT,
     NavDoubt.RESETS: notices.REPEATED_RESETS,
     NavDoubt.CAMERA: notices.CAMERA_WRONG,
+    NavDoubt.DEPTH: notices.DEPTH_DISAGREES,
 }
 """Remedy for a sensor that contradicts the other evidence."""
 

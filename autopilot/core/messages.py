@@ -189,6 +189,8 @@ class NavDoubt(Enum):
     """Repeated resets of the estimate."""
     CAMERA = "camera"
     """Rejected: its fixes are inconsistent with gyro and vehicle model, or have reset the estimate twice."""
+    DEPTH = "depth"
+    """The pressure sensor's zero is far from the fixes', or it is noisier than it says."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -200,6 +200,11 @@ GYRO_WRONG = _warning(
 )
 FIXES_DISAGREE = _warning("Markers disagree with dead reckoning: check map", "", "Check the camera's calibration too.")
 RANGE_DISAGREES = _warning("Laser and marker height disagree: calibrate camera", "", "Check the laser's mounting too.")
+DEPTH_DISAGREES = _warning(
+    "Depth sensor disagrees with fixes: check its zero",
+    "Off by more than 0.2 m, noisier than it states, or under waves.",
+    "Zero it at the surface or correct `surface_pa`.",
+)
 MAP_DISAGREES = _warning(
     "Marker map disagrees: check it or survey it", "Markers contradict each other.", "Run `autopilot markers survey`."
 )

@@ -134,7 +134,7 @@ float64[8] thrust_n  # that the estimator was told, unused = 0
         fields="""
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good
 uint32 reset_count  # jumps of the estimate so far
-uint32 doubts  # bits: 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets, 128 camera
+uint32 doubts  # 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets, 128 camera, 256 depth
 """,
         put={"doubts": lambda nav: sum(1 << bit for bit, doubt in enumerate(NavDoubt) if doubt in nav.doubts)},
     ),

@@ -11,7 +11,7 @@ from makers import Make
 from truth import Faults, World, no_current, uniform_current
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import AidState, NavHealth, NavState
+from autopilot.core.messages import AidState, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import (
     AhrsSample,
     AltimeterSample,
@@ -141,6 +141,30 @@ def test_a_depth_sensor_that_jumps_is_taken_up_again(make_ekf: Make) -> None:
     assert AidState.STARTING in states[len(states) // 2 :]
     assert states[-1] is AidState.ACTIVE
     assert max(abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in track if now.t_us > 4_000_000) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "noise_m", "outliers", "told"),
+    [(0.1, 0.005, 0.1, False), (0.5, 0.005, 0.0, True), (-0.5, 0.005, 0.0, True), (0.0, 0.1, 0.0, True)],
+    ids=["sound", "deep", "shallow", "noisy"],
+)
+def test_a_depth_sensor_that_is_off_is_named_and_moves_nothing(
+    make_ekf: Make, offset_m: float, noise_m: float, outliers: float, told: bool
+) -> None:
+    rng = np.random.default_rng(3)
+
+    def depth(now: Look) -> list[Sample]:
+        if now.t_us % 100_000:
+            return []
+        wild = 0.5 * rng.standard_normal() if rng.random() < outliers else 0.0
+        return [depth_of(now, offset_m + noise_m * rng.standard_normal() + wild)]
+
+    track = run(make_ekf(), World(no_current), 15.0, depth)
+    settled = [(now, nav) for now, nav in track if now.t_us > 5_000_000]
+    assert {NavDoubt.DEPTH in nav.doubts for _, nav in settled[-500:]} == {told}
+    assert told or not any(nav.doubts for _, nav in track)
+    assert max(abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in settled) < 0.02
+    assert all(nav.health is NavHealth.GOOD for _, nav in settled)
 
 
 FLOOR_M = 1.5
