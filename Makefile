@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test lint docs library sanitize mutations bench clean
+.PHONY: demo test lint docs library sanitize mutations ardusub-suite bench clean
 
 $(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch]) autopilot/core/model4.py autopilot/control/nmpc/model_code.py autopilot/control/energy/interval.py
 	@echo "setting up $(VENV) (about a minute)"
@@ -47,6 +47,10 @@ sanitize: $(VENV)/tools
 
 mutations: $(VENV)/tools
 	$(BIN)/python -m tests.mutate --seed 1 --places 200
+
+# With ArduSub's own simulation, built from its sources: make ardusub-suite ARDUSUB=.../build/sitl/bin/ardusub
+ardusub-suite: $(VENV)/tools
+	$(BIN)/python -m tests.bench.ardusub $(if $(ARDUSUB),--ardusub $(ARDUSUB))
 
 bench: $(VENV)/installed
 	$(BIN)/autopilot bench

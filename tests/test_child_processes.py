@@ -18,6 +18,8 @@ HELPER = "autopilot/core/own_python.py"
 OURS = ("python_command", "autopilot_command")
 
 PLACES: dict[tuple[str, str], str] = {
+    ("tests/bench/ardusub/rig.py", "_process"): "given",
+    ("tests/bench/ardusub/rig.py", "upload"): "ours",
     ("tests/bench/attitude.py", "bench_attitude"): "pool",
     ("tests/bench/estimator.py", "bench_estimator"): "pool",
     ("tests/bench/faults/bench.py", "_tested"): "ours",

@@ -1,0 +1,1 @@
+"""The service on ArduSub's own simulation, case by case."""
