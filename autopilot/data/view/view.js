@@ -295,7 +295,7 @@ function showScene(scene) {
 // The stream
 
 function listen(anew = false) {
-  const wanted = $("camerabox").open ? "/events?pictures=1" : "/events";
+  const wanted = $("camerabox").open ? "events?pictures=1" : "events";
   if (!anew && source && source.url.endsWith(wanted)) return;
   if (source) source.close();
   opened = heard = seconds();
@@ -412,7 +412,7 @@ function say(words) { put("said", words); $("said").className = ""; }
 async function ask(table) {
   const said = $("said");
   try {
-    const answer = await fetch("/do", { method: "POST", headers: { "Content-Type": "application/json", "X-View-Token": token }, body: JSON.stringify(table) });
+    const answer = await fetch("do", { method: "POST", headers: { "Content-Type": "application/json", "X-View-Token": token }, body: JSON.stringify(table) });
     const words = await answer.json();
     said.textContent = words.done || words.error;
     said.className = answer.ok ? "" : "bad";
