@@ -35,6 +35,8 @@ COLORS = 96
 """Of a picture's palette: its size in bytes falls to a third."""
 PATIENCE_S = 300.0
 """Against a hang only."""
+SHOWN_S = 10.0
+"""So long the view is open before its picture is taken."""
 QUIET_S = 120.0
 """So long a failsafe is given to be over."""
 ALTITUDE_MODE = 2
@@ -152,17 +154,18 @@ def sticks(vehicle: VehicleConnection, seconds: float, up: int = 500) -> None:
 def flown(
     name: str,
     made: Walk,
-    fly: Callable[[VehicleConnection, Any], None],
+    fly: Callable[[VehicleConnection], None],
     rest: Callable[[VehicleConnection, float], None] = waited,
 ) -> None:
     """The view of a flight once ``fly`` has returned; until it shows no failsafe ``rest`` goes on."""
     url = made.run("--plan", PLAN)
     with browser.page(browser.found()) as page, VehicleConnection(f"udpout:127.0.0.1:{made.ours}") as vehicle:
+        vehicle.connect(PATIENCE_S)
+        fly(vehicle)
         page.size(*SCREEN)
         page.open(url)
-        page.wait("document.getElementById('state')?.children.length > 4", PATIENCE_S)
-        vehicle.connect(PATIENCE_S)
-        fly(vehicle, page)
+        rest(vehicle, SHOWN_S)
+        page.ask("document.getElementById('camerabox').open = true")
         begin_s = time.monotonic()
         while alarms := page.ask("document.getElementById('alarms').textContent"):
             if time.monotonic() - begin_s > QUIET_S:
@@ -173,21 +176,16 @@ def flown(
         kept(page, name)
 
 
-def state(page: Any, value: str) -> Any:
-    """Wait until the page's state has that."""
-    return page.wait(f"document.getElementById('state').textContent.includes({value!r})", PATIENCE_S)
-
-
 def depth() -> None:
     """A hover by depth alone."""
 
-    def fly(vehicle: VehicleConnection, page: Any) -> None:
+    def fly(vehicle: VehicleConnection) -> None:
         sticks(vehicle, 1.0)
         vehicle.command(mav.MAV_CMD_DO_SET_MODE, 1.0, float(ALTITUDE_MODE), 0.0)
         armed(vehicle)
         sticks(vehicle, 1.0)
         sticks(vehicle, 3.0, up=300)
-        sticks(vehicle, 5.0)
+        sticks(vehicle, 1.0)
 
     with walk() as made:
         flown("depth", made, fly, sticks)
@@ -195,29 +193,16 @@ def depth() -> None:
 
 def markers() -> None:
     """A hover by markers."""
-
-    def fly(vehicle: VehicleConnection, page: Any) -> None:
-        state(page, "GOOD")
-        page.ask("document.getElementById('camerabox').open = true")
-        armed(vehicle)
-        page.wait("document.getElementById('armed').textContent === 'armed'", PATIENCE_S)
-        waited(vehicle, 5.0)
-        page.ask("document.getElementById('camerabox').scrollIntoView({ block: 'end' })")
-        waited(vehicle, 1.0)
-
     with walk(markers=True) as made:
-        flown("markers", made, fly)
+        flown("markers", made, armed)
 
 
 def mission() -> None:
     """The mission under way, by a tracking system."""
 
-    def fly(vehicle: VehicleConnection, page: Any) -> None:
-        state(page, "GOOD")
+    def fly(vehicle: VehicleConnection) -> None:
         armed(vehicle)
         vehicle.start_mission()
-        state(page, "ACTIVE")
-        waited(vehicle, 12.0)
 
     with walk(tracked=True) as made:
         flown("mission", made, fly)
