@@ -165,7 +165,6 @@ def flown(
         page.size(*SCREEN)
         page.open(url)
         rest(vehicle, SHOWN_S)
-        page.ask("document.getElementById('camerabox').open = true")
         begin_s = time.monotonic()
         while alarms := page.ask("document.getElementById('alarms').textContent"):
             if time.monotonic() - begin_s > QUIET_S:
