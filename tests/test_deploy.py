@@ -1,15 +1,19 @@
 """What a machine inside a vehicle is set up with says what this program understands."""
 
 import configparser
+import json
 import re
 import shlex
+from importlib.metadata import version
 from pathlib import Path
+from string import Template
 
 import click
 import pytest
 
 from autopilot.cli.main import cli
 from autopilot.run.config import ENVIRONMENT_PREFIX, vehicle_defaults
+from autopilot.view.http_server import DEFAULT_PORT
 
 DEPLOY = Path(__file__).parents[1] / "docs" / "deploy"
 
@@ -51,6 +55,43 @@ def test_variables_are_settings(name: str) -> None:
 
 def test_the_image_starts_what_is_there() -> None:
     text = (DEPLOY / "Containerfile").read_text()
-    (command,) = re.findall(r"^CMD \[(.*)\]$", text, re.MULTILINE)
-    understands([part.strip().strip('"') for part in command.split(",")])
+    (command,) = re.findall(r"^CMD (\[.*\])$", text, re.MULTILINE)
+    shell, option, script = json.loads(command)
+    assert (shell, option) == ("sh", "-c")
+    for program in re.findall(r"\bautopilot ([^;&|]*)", script):
+        understands(shlex.split(program))
+    assert "exec autopilot run" in script, "or it is not the service that gets the signal to stop"
     assert "USER autopilot" in text
+
+
+def image_labels() -> dict[str, str]:
+    """Of the container file, as a builder has them: continued lines joined, variables at their defaults."""
+    text = (DEPLOY / "Containerfile").read_text().replace("\\\n", "")
+    defaults = dict(re.findall(r'^ARG (\w+)="(.*)"$', text, re.MULTILINE))
+    labels = {}
+    for name, quoted in re.findall(r"^LABEL (\w+)=(.*)$", text, re.MULTILINE):
+        (value,) = shlex.split(quoted)
+        labels[name] = value if quoted.startswith("'") else Template(value).substitute(defaults)
+    return labels
+
+
+def test_the_image_is_an_extension_of_blueos() -> None:
+    labels = image_labels()
+    assert labels["version"] == version("underwater-autopilot")
+    assert re.fullmatch(r"core >= \d+\.\d+", labels["requirements"])
+    assert labels["type"] in ("device-integration", "example", "theme", "other", "tool", "education")
+    tags = json.loads(labels["tags"])
+    assert 0 < len(tags) <= 10 and all(re.fullmatch(r"[a-z0-9-]+", tag) for tag in tags)
+    assert json.loads(labels["authors"])[0].keys() == {"name", "email"}
+    assert json.loads(labels["company"])["name"] and "website" in json.loads(labels["links"])
+    permissions = json.loads(labels["permissions"])
+    given = dict(each.split("=") for each in permissions["Env"])
+    names = {name.removeprefix(ENVIRONMENT_PREFIX).lower(): value for name, value in given.items()}
+    assert names == {"view": str(DEFAULT_PORT), "view_address": "0.0.0.0"}, "BlueOS looks at open ports only"
+    assert names.keys() <= vehicle_defaults(0).keys()
+    host = permissions["HostConfig"]
+    assert host["NetworkMode"] == "host" and "Privileged" not in host and host["CapDrop"] == ["ALL"]
+    (bind,) = host["Binds"]
+    assert bind.startswith("/usr/blueos/extensions/")
+    text = (DEPLOY / "Containerfile").read_text()
+    assert f"VOLUME {bind.partition(':')[2]}\n" in text and f"STATE_DIR={bind.partition(':')[2]} " in text

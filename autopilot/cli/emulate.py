@@ -14,6 +14,9 @@ from autopilot.cli.shared_options import CAMERA
 if TYPE_CHECKING:
     from autopilot.sitl.camera_process import CameraPlace
 
+TRACKED = "udpout:127.0.0.1:14540"
+"""An API port of `autopilot run`."""
+
 
 @click.command()
 @click.argument("scenario", type=SCENARIO_NAME, default="paper-tank")
@@ -31,9 +34,8 @@ if TYPE_CHECKING:
 @click.option(
     "--pose",
     multiple=True,
-    default=("udpout:127.0.0.1:14540",),
-    show_default=True,
-    help="Where a tracking system sends the vehicle's pose; repeatable.",
+    help="Where a tracking system sends the vehicle's pose; repeatable. Default: udpout:127.0.0.1:14540, with --camera"
+    " none. `off`: none.",
 )
 @CAMERA
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
@@ -59,12 +61,14 @@ def emulate(
 
     from autopilot.run.sitl_emulated import emulate as run
 
+    if not pose and camera is None:
+        pose = (TRACKED,)
     flight = run(
         scenario,
         vehicle,
         frame,
         links=link,
-        pose=pose,
+        pose=[each for each in pose if each != "off"],
         camera=camera,
         seed=seed,
         duration_s=duration,

@@ -14,6 +14,7 @@ from autopilot.cli.service_options import (
     opened_foxglove,
     opened_view,
     part_name,
+    view_address_option,
     view_option,
 )
 from autopilot.cli.service_run import Flights, StopSignals, tell_losses
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 @click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: the file's, else px4).")
 @INSTANCE
 @view_option
+@view_address_option
 @foxglove_option
 @QUIET
 def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
@@ -55,7 +57,10 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
         file_name=loaded.path.name,
     )
     overrides = parse_overrides(param)
-    with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
+    with (
+        opened_view(settings["view"], settings["view_address"]) as view,
+        opened_foxglove(settings["foxglove"]) as foxglove,
+    ):
         flights = Flights(stop, view, foxglove, quiet=quiet)
         while True:
             session, end = _run(settings, loaded, overrides, instance, flights)

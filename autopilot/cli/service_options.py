@@ -54,6 +54,10 @@ view_option: Callable[[Any], Any] = click.option(
     help="Live view: a page on 127.0.0.1 (default port 8760, or the next that is free).",
 )
 
+view_address_option: Callable[[Any], Any] = click.option(
+    "--view-address", help="Of the interface that --view listens on (default 127.0.0.1); 0.0.0.0: all, for everybody."
+)
+
 
 FOXGLOVE_PORT = 8765
 """Foxglove's default port."""
@@ -85,15 +89,15 @@ def opened_foxglove(port: int | None) -> Iterator["FoxgloveServer | None"]:
 
 
 @contextlib.contextmanager
-def opened_view(port: int | None) -> Iterator["Hub | None"]:
-    """The live view, None without ``--view``. Its address is printed, also with ``--quiet``. ConfigError if the port
-    cannot be had."""
+def opened_view(port: int | None, address: str = "127.0.0.1") -> Iterator["Hub | None"]:
+    """The live view, None without ``--view``. Its URL is printed, also with ``--quiet``. ConfigError if the port
+    of that address cannot be had."""
     if port is None:
         yield None
         return
     from autopilot.view.http_server import ViewServer
 
-    server = ViewServer(None if port == ANY_VIEW_PORT else port)
+    server = ViewServer(None if port == ANY_VIEW_PORT else port, address=address)
     click.echo(f"view: {server.url}")
     try:
         yield server.hub

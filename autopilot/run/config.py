@@ -112,6 +112,7 @@ def vehicle_defaults(instance: int) -> dict[str, Any]:
     return {
         **{name: sitl[name] for name in shared},
         "connect": (f"udpin:0.0.0.0:{14540 + instance}", f"tcpin:127.0.0.1:{5760 + 10 * instance}"),
+        "view_address": "127.0.0.1",
     }
 
 

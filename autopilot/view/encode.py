@@ -8,7 +8,7 @@ import numpy as np
 from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Event, Failsafe, NavState, Outputs, Severity
+from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Outputs, Severity
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
@@ -26,6 +26,7 @@ from autopilot.view.page_state import (
     GoalView,
     Limits,
     Loop,
+    Measured,
     MessageView,
     ObstacleView,
     Outline,
@@ -96,6 +97,7 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
         mode=snapshot.description.mode_names.get(str(mode.custom_mode), str(mode.custom_mode)),
         failsafes=tuple(failsafe.name for failsafe in Failsafe if mode.failsafes >> failsafe & 1),
         estimate=None if out.nav is None else _estimate(out.nav, _age_s(t_us, _newest_us(snapshot, out.nav))),
+        measured=_measured(snapshot, limits_s),
         truth=None if snapshot.truth is None else _truth(snapshot.truth, count),
         solids=snapshot.solids,
         extra_current_ned_m_s=steered.extra_current_ned_m_s,
@@ -319,6 +321,21 @@ def _control(snapshot: TickSnapshot) -> Control | None:
         eta_s=None if plan is None else _number(plan.eta_s),
         energy_j=None if plan is None else _number(plan.energy_j),
         plan_age_s=None if plan is None else _age_s(snapshot.outputs.t_us, snapshot.plan_us),
+    )
+
+
+def _measured(snapshot: TickSnapshot, limits_s: dict[str, float]) -> Measured | None:
+    nav, rpy_rad, depth_m = snapshot.outputs.nav, snapshot.ahrs_rpy_rad, snapshot.depth_m
+    if nav is not None and nav.health is not NavHealth.INVALID:
+        return None
+
+    def fresh(device: str) -> bool:
+        received_us = snapshot.received_us.get(device)
+        return received_us is not None and _age_s(snapshot.outputs.t_us, received_us) <= limits_s.get(device, UNKNOWN_S)
+
+    return Measured(
+        rpy_rad=_point3(rpy_rad) if rpy_rad is not None and fresh("ahrs") else None,
+        depth_m=_number(depth_m) if depth_m is not None and fresh("depth") else None,
     )
 
 

@@ -26,7 +26,15 @@ from autopilot.core.messages import (
     Outputs,
     ThrusterHealthState,
 )
-from autopilot.core.samples import CameraFrame, MarkerSighting, ObstacleTrack, PowerSample, Sample
+from autopilot.core.samples import (
+    AhrsSample,
+    CameraFrame,
+    DepthSample,
+    MarkerSighting,
+    ObstacleTrack,
+    PowerSample,
+    Sample,
+)
 from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.log.description import RunDescription
 from autopilot.view.page_state import Solid
@@ -126,6 +134,8 @@ class TickSnapshot:
     aids: Mapping[str, AidStatus]
     tracks: Mapping[int, ObstacleTrack]
     power: PowerSample | None
+    ahrs_rpy_rad: FloatArray | None
+    depth_m: float | None
     loop: LoopStats | None
     messages: tuple[tuple[int, Event], ...]
     trail_ned_m: tuple[FloatArray, ...]
@@ -142,6 +152,8 @@ class _Kept:
     thrusters: ThrusterHealthState | None = None
     loop: LoopStats | None = None
     power: PowerSample | None = None
+    ahrs_rpy_rad: FloatArray | None = None
+    depth_m: float | None = None
     received_us: dict[str, int] = field(default_factory=dict)
     aids: dict[str, AidStatus] = field(default_factory=dict)
     tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
@@ -219,7 +231,11 @@ class Feed:
             row = DEVICES.get(type(sample))
             if row is not None and kept.news(row, sample):
                 kept.received_us[row.device] = inputs.t_us
-            if isinstance(sample, PowerSample):
+            if isinstance(sample, AhrsSample):
+                kept.ahrs_rpy_rad = sample.rpy_rad
+            elif isinstance(sample, DepthSample):
+                kept.depth_m = sample.depth_m
+            elif isinstance(sample, PowerSample):
                 kept.power = sample
             elif isinstance(sample, ObstacleTrack):
                 kept.tracks[sample.track_id] = sample
@@ -286,6 +302,8 @@ class Feed:
             aids=dict(kept.aids),
             tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
             power=kept.power,
+            ahrs_rpy_rad=kept.ahrs_rpy_rad,
+            depth_m=kept.depth_m,
             loop=kept.loop,
             messages=tuple(self._messages),
             trail_ned_m=tuple(self._trail),

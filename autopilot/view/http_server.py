@@ -1,16 +1,19 @@
-"""HTTP server of the page on loopback: its files, a stream of server-sent events, and requests; or a log to play.
+"""HTTP server of the page: its files, a stream of server-sent events, and requests; or a log to play.
 
-Local access only. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, which
-rejects DNS rebinding; cross-site requests are rejected by Origin or Sec-Fetch-Site; and requests that change
-anything need the process's token, which only the page has. There is no CORS header, so no other page can read an
-answer either.
+Pages of other sites get nothing, wherever the socket is bound (127.0.0.1 unless told otherwise). The Host of a request
+has to be a name that no stranger's DNS can give, which rejects DNS rebinding; cross-site requests are rejected by
+Origin or Sec-Fetch-Site; and requests that change anything need the process's token, which only the page has. There is
+no CORS header here, and where a proxy adds one (BlueOS does) the Origin of the request has been rejected already.
 """
 
 import hashlib
+import importlib.metadata
 import importlib.util
+import ipaddress
 import math
 import secrets
 import socket
+import socketserver
 import threading
 from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -39,6 +42,7 @@ SEND_BUFFER = 1 << 16
 MAX_CONNECTIONS = 48
 MAX_ASK_BYTES = 4096
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+LOOPBACK_ADDRESS = "127.0.0.1"
 TOKEN_HEADER = "X-View-Token"
 
 PAGES = {
@@ -60,6 +64,8 @@ PAGES = {
 }
 """Path -> file of the package, type."""
 THREE_PATH = "/three.js"
+SERVICE_PATH = "/register_service"
+"""Where BlueOS asks each web server of its computer whether that is an extension, and how to show it."""
 NO_THREE = "3-D needs three.js, which comes with the package pythreejs: pip install 'underwater-autopilot[view3d]'"
 
 LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",)}
@@ -67,15 +73,16 @@ LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",)}
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
-    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
+    "X-Frame-Options": "SAMEORIGIN",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
+    "X-Accel-Buffering": "no",
 }
 
 _request = msgspec.json.Decoder(ControlRequest)
@@ -86,12 +93,16 @@ class _Server(ThreadingHTTPServer):
     allow_reuse_address = True
     request_queue_size = 32
 
-    def __init__(self, port: int, hub: Hub, log: LogFrames | None) -> None:
-        self.hub, self.log = hub, log
+    def __init__(self, address: str, port: int, hub: Hub, log: LogFrames | None) -> None:
+        self.hub, self.log, self.address = hub, log, address
         self.token = secrets.token_urlsafe(24)
         self.version = _version()
         self._connection_slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
-        super().__init__(("127.0.0.1", port), _Handler)
+        super().__init__((address, port), _Handler)
+
+    def server_bind(self) -> None:
+        """Without http.server's look-up of the host's name, which a vehicle without a DNS would wait for."""
+        socketserver.TCPServer.server_bind(self)
 
     def process_request(self, request: object, client_address: object) -> None:
         """In a thread of its own, up to a maximum number."""
@@ -127,11 +138,44 @@ def _version() -> str:
     return hashlib.sha256(b"".join(_file(name) for name, _ in PAGES.values())).hexdigest()[:16]
 
 
+def service_metadata() -> dict[str, str | bool]:
+    """This program as an extension of BlueOS. Its page is proxied there, below a path of its own."""
+    package = importlib.metadata.metadata("underwater-autopilot")
+    return {
+        "name": package["Name"].replace("-", " ").capitalize(),
+        "description": package["Summary"],
+        "icon": "mdi-submarine",
+        "company": "The underwater-autopilot authors",
+        "version": package["Version"],
+        "webpage": "",
+        "api": "",
+        "works_in_relative_paths": True,
+    }
+
+
+def _is_own_name(host: str, address: str) -> bool:
+    """Whether a request to the socket of ``address`` may be for ``host``. DNS rebinding needs a name that the
+    attacker's DNS answers for: an address is none, and names in .local are the vehicle's network's own (mDNS)."""
+    if host in LOOPBACK or address == LOOPBACK_ADDRESS:
+        return host in LOOPBACK
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        return host.endswith(".local")
+    return True
+
+
 class ViewServer:
-    def __init__(self, port: int | None, log: LogFrames | None = None, option: str = "--view") -> None:
+    def __init__(
+        self,
+        port: int | None,
+        log: LogFrames | None = None,
+        option: str = "--view",
+        address: str = LOOPBACK_ADDRESS,
+    ) -> None:
         """ConfigError naming the ``option`` if the port is taken; without one the first free port from the default on
-        is used. ``log``: played instead of a run."""
-        self.hub, self._log, self._option = Hub(), log, option
+        is used. ``log``: played instead of a run. ``address``: of the interface to listen on, 0.0.0.0 = all."""
+        self.hub, self._log, self._option, self._address = Hub(), log, option, address
         try:
             self._server = self._bound(port)
         except BaseException:
@@ -143,17 +187,17 @@ class ViewServer:
     def _bound(self, port: int | None) -> _Server:
         for number in range(DEFAULT_PORT, DEFAULT_PORT + PORTS) if port is None else (port,):
             try:
-                return _Server(number, self.hub, self._log)
+                return _Server(self._address, number, self.hub, self._log)
             except OSError as error:
                 reason = error.strerror or str(error)
         tried_ports = f"ports {DEFAULT_PORT} to {number}" if port is None else f"port {port}"
         raise ConfigError(
-            f"{self._option}: {tried_ports} of 127.0.0.1 cannot be had ({reason}); give another one, or 0 for any"
+            f"{self._option}: {tried_ports} of {self._address} cannot be had ({reason}); give another one, or 0 for any"
         )
 
     @property
     def url(self) -> str:
-        return f"http://127.0.0.1:{self._server.server_address[1]}/"
+        return f"http://{self._address}:{self._server.server_address[1]}/"
 
     def close(self) -> None:
         self.hub.close()
@@ -191,6 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
             for mark, text in marked.items() if name == "index.html" else ():
                 data = data.replace(mark, text.encode())
             self._answer(200, data, kind)
+        elif url.path == SERVICE_PATH:
+            self._answer(200, msgspec.json.encode(service_metadata()), "application/json")
         elif url.path == THREE_PATH:
             three = _three_js()
             if three is None:
@@ -225,12 +271,14 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(200, msgspec.json.encode({"done": done}), "application/json")
 
     def _from_here(self) -> bool:
-        """Whether a browser on this machine requests our own page; others get an error."""
+        """Whether a browser requests our own page; others get an error."""
         host = self.headers.get("Host", "")
         name = host[: host.find("]") + 1] if host.startswith("[") else host.partition(":")[0]
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
-        if name.lower() not in LOOPBACK or len(self.headers.get_all("Host", [])) != 1:
-            self._say(403, "this page answers to 127.0.0.1 and localhost only")
+        address = self.server.address
+        if not _is_own_name(name.lower(), address) or len(self.headers.get_all("Host", [])) != 1:
+            more = "" if address == LOOPBACK_ADDRESS else ", addresses and names in .local"
+            self._say(403, f"this page answers to 127.0.0.1 and localhost{more} only")
         elif (origin is not None and origin != f"http://{host}") or site not in (None, "same-origin", "none"):
             self._say(403, "another page has no business here")
         else:

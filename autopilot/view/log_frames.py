@@ -169,6 +169,7 @@ class LogFrames:
         nav = None if nav_row is None or t_us - now_us > NAV_US else self._nav(nav_row, t_us)
         control, goal, mode = self._control(t_us), latest("/ctl/goal", t_us), latest("/sys/mode", t_us)
         plan, health, power = latest("/ctl/plan", t_us), latest("/ctl/thrusters", t_us), latest("/in/power_raw", t_us)
+        ahrs, depth = latest("/in/ahrs_raw", t_us), latest("/in/depth", t_us)
         command, progress = latest("/out/thrusters", t_us), latest("/mission/progress", t_us)
         return TickSnapshot(
             number=0,
@@ -199,6 +200,8 @@ class LogFrames:
             aids={aid.sensor: aid for topic in self._aids if (aid := self._aid(topic, t_us)) is not None},
             tracks=self._tracks(t_us),
             power=None if power is None else _power(power),
+            ahrs_rpy_rad=None if ahrs is None else ahrs["rpy_rad"],
+            depth_m=None if depth is None else float(depth["depth_m"]),
             loop=self._loop(t_us),
             messages=(),
             trail_ned_m=(),

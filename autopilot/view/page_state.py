@@ -112,6 +112,15 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     doubts: tuple[str, ...]
 
 
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """What is known of the vehicle while it does not know its place. None: too old."""
+
+    rpy_rad: Point3 | None
+    """Of the AHRS, yaw magnetic."""
+    depth_m: float | None
+    """Of the pressure sensor."""
+
+
 class TrueState(msgspec.Struct, frozen=True, kw_only=True):
     """Ground truth, in simulations only."""
 
@@ -254,6 +263,8 @@ class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
     mode: str
     failsafes: tuple[str, ...]
     estimate: Estimate | None
+    measured: Measured | None
+    """Where there is no valid estimate."""
     truth: TrueState | None
     solids: tuple[Solid, ...]
     extra_current_ned_m_s: Point2 | None

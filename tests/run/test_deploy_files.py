@@ -26,6 +26,16 @@ def test_the_unit_names_files_that_a_wheel_installs() -> None:
     assert all((ROOT / file).is_file() for file in files) and str(UNIT.relative_to(ROOT)) in files
 
 
+def test_commands_beside_the_service_have_its_user_and_state() -> None:
+    """Else `mavlink key make` would write a key that the service does not read."""
+    unit = UNIT.read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "deploy.md").read_text(encoding="utf-8")
+    user, program = re.search(r"^User=(\w+)", unit, re.MULTILINE), re.search(r"ExecStart=(\S+)", unit)
+    state = re.search(r"AUTOPILOT_STATE_DIR=\S+", unit)
+    assert user is not None and program is not None and state is not None
+    assert f"alias autopilot='runuser -u {user[1]} -- env {state[0]} {program[1]}'" in page
+
+
 def test_the_image_is_built_from_all_that_is_installed() -> None:
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
     assert "!docs/deploy" in ignored and "!docs/deploy.md" in ignored and ".git" in ignored

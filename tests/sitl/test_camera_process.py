@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from click.testing import CliRunner
 
+from autopilot.cli.emulate import emulate
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
@@ -22,6 +24,7 @@ from autopilot.drivers.frame_clock import AGAIN, STREAM_SIGMA_US
 from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.retry import SteadySensor
 from autopilot.run.children import autopilot_command, free_port
+from autopilot.run.sitl_emulated import EmulatedFlight
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_feed import simulated_camera
 from autopilot.sitl.camera_process import CameraProcess, _moved
@@ -163,3 +166,28 @@ def test_the_floor_of_a_scenario_is_a_map_for_a_configuration(tmp_path: Path) ->
     read, meant = load_marker_map(tmp_path / "floor.toml"), given_markers(load_scenario("paper-tank"))
     assert meant is not None and read.ids.tolist() == meant.ids.tolist()
     assert np.abs(read.corners_ned_m - meant.corners_ned_m).max() < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "pose"),
+    [
+        ((), ["udpout:127.0.0.1:14540"]),
+        (("--camera", "127.0.0.1:8090"), []),
+        (("--camera", "127.0.0.1:8090", "--pose", "udpout:127.0.0.1:1"), ["udpout:127.0.0.1:1"]),
+        (("--pose", "off"), []),
+    ],
+)
+def test_a_tracking_system_where_there_is_no_camera_or_as_asked(
+    arguments: tuple[str, ...], pose: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a flight by markers would be one by its poses."""
+    seen: list[list[str]] = []
+
+    def emulated(*_: object, pose: list[str], **__: object) -> EmulatedFlight:
+        seen.append(pose)
+        return EmulatedFlight()
+
+    monkeypatch.setattr("autopilot.run.sitl_emulated.emulate", emulated)
+    done = CliRunner().invoke(emulate, arguments)
+    assert done.exit_code == 0, done.output
+    assert seen == [pose]

@@ -60,6 +60,9 @@ def test_bearings_of_goal_route_and_current() -> None:
         "current to 270°, 0.12 m/s",
     ]
     assert [line for line, *_ in none["compass"]] == ["heading 303°", "goal 0.02 m", "current 0.00 m/s"]
+    placeless = frame | {"measured": {"rpy_rad": [0, 0, 0.5], "depth_m": None}}
+    (words,) = made(f"const frame = {json.dumps(placeless)}; {code}")
+    assert [line for line, *_ in words["compass"]] == ["heading 029°"], "what the AHRS says where there is no place"
     assert made("made.push(attitude.bearingText(-1e-4), attitude.bearingText(2 * Math.PI))") == ["000°", "000°"]
 
 
@@ -76,6 +79,11 @@ def test_the_page_shows_them_and_how_old_they_are(events: list[dict[str, Any]]) 
     assert "dials" in old["stale"] and "60 s old" in old["words"]["attitudeage"]
     frame["data"]["estimate"] = None
     assert page([scene, frame])["words"]["attitudeage"] == "no estimate"
+    frame["data"]["measured"] = {"rpy_rad": [0.1, -0.2, math.pi / 2], "depth_m": 0.62}
+    measured = page([scene, frame])
+    assert measured["words"]["compasskey"].strip() == "heading 090°" and "dials" not in measured["stale"]
+    assert measured["state"][:4] == ["Estimate", "none", "Depth by pressure", "0.62 m"]
+    assert measured["state"][4:6] == ["Roll, pitch, yaw by AHRS", "5.7°, -11.5°, 90.0°"]
 
 
 @pytest.fixture

@@ -187,11 +187,11 @@ def test_what_a_person_does_is_asked_for(events: list[dict[str, Any]]) -> None:
         ]
     )
     pause, obstacle, flow, reset = made["requests"]
-    assert pause == {"url": "/do", "do": "pause"} and reset == {"url": "/do", "do": "reset"}
+    assert pause == {"url": "do", "do": "pause"} and reset == {"url": "do", "do": "reset"}
     assert obstacle["do"] == "obstacle" and obstacle["number"] == solid["number"]
     moved = math.hypot(obstacle["north_m"] - solid["center_m"][0], obstacle["east_m"] - solid["center_m"][1])
     assert 0.1 < moved < 1.5
-    assert flow == {"url": "/do", "do": "current", "north_m_s": 0.0, "east_m_s": 0.0}
+    assert flow == {"url": "do", "do": "current", "north_m_s": 0.0, "east_m_s": 0.0}
 
 
 def test_nothing_comes_from_outside() -> None:

@@ -1,7 +1,9 @@
 """The live view through the process, as a browser sees it."""
 
+import json
 import socket
 import time
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
 from autopilot.view.http_server import ViewServer
 from autopilot.view.hub import MAX_VIEWERS
-from autopilot.view.page_state import FlowView, PictureView, SceneView, ViewFrame
+from autopilot.view.page_state import FlowView, Measured, PictureView, SceneView, ViewFrame
 
 SCENARIO = """
 [scenario]
@@ -278,18 +280,33 @@ def test_pictures_come_with_what_was_found(tmp_path: Path) -> None:
         assert made.end() == 0
 
 
-def test_a_real_vehicle_is_only_shown(tmp_path: Path) -> None:
+def test_a_real_vehicle_is_only_shown_and_to_its_network_where_asked(tmp_path: Path) -> None:
     config = tmp_path / "rov.toml"
     config.write_text(
         'vehicle = "bluerov2"\n[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\n'
         f'connect = "udpin:127.0.0.1:{free_port()}"\n'
     )
-    with run(tmp_path, "--config", str(config), command="run") as made:
+    with run(tmp_path, "--config", str(config), "--view-address", "0.0.0.0", command="run") as made:
+        own = ("127.0.0.1", "localhost:80", "192.168.2.2", f"192.168.2.2:{made.port}", "[fe80::1]:80", "BlueOS.local")
+        for host in own:
+            assert get(made.port, headers={"Host": host})[0] == 200, host
+        for host in ("evil.example", "local", "blueos.local.evil.example", "192.168.2.2.evil.example", "blueos", ""):
+            assert get(made.port, headers={"Host": host})[0] == 403, host
+        for origin in ("http://evil.example", "http://192.168.2.2:9000", "http://192.168.2.3"):
+            assert get(made.port, "/events", {"Host": "192.168.2.2", "Origin": origin})[0] == 403, origin
+        assert "frame-ancestors 'self'" in get(made.port)[1]["content-security-policy"]
+        status, headers, body = get(made.port, "/register_service")
+        service = json.loads(body)
+        assert status == 200 and headers["content-type"] == "application/json"
+        assert service["version"] == version("underwater-autopilot") and service["works_in_relative_paths"] is True
+        for name in ("name", "description", "icon", "company", "version", "webpage", "api"):
+            assert isinstance(service[name], str), name
         stream = Stream(made.port)
         scene = msgspec.convert(stream.until("scene"), SceneView)
         assert not scene.simulated and scene.steerable.faults == () and not scene.steerable.pause
         frame = msgspec.convert(stream.until("frame"), ViewFrame)
         assert frame.estimate is None and frame.truth is None and frame.solids == () and not frame.paused
+        assert frame.measured == Measured(rpy_rad=None, depth_m=None), "no device has said anything"
         asks: tuple[dict[str, object], ...] = (
             {"do": "pause"},
             {"do": "reset"},

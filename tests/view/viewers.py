@@ -34,7 +34,7 @@ class Run:
                 stderr=subprocess.STDOUT,
                 env=environment,
             )
-        self.port = int(self.printed(r"view: http://127\.0\.0\.1:(\d+)/\n"))
+        self.port = int(self.printed(r"view: http://[\d.]+:(\d+)/\n"))
 
     def printed(self, pattern: str) -> str:
         """Wait until that is printed; its first group."""

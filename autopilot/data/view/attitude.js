@@ -15,8 +15,12 @@ const bearing = ([n, e], [n1, e1]) => Math.atan2(e1 - e, n1 - n);
 export const bearingText = (angle) => `${String((Math.round((angle * 180) / Math.PI) + 720) % 360).padStart(3, "0")}°`;
 const figure = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1");
 
-// What both show; null without an estimate.
-export function attitudeOf({ estimate, goal, control }) {
+// What both show; null without an attitude. Without a place that of the AHRS.
+export function attitudeOf({ estimate, measured, goal, control }) {
+  if (measured && measured.rpy_rad) {
+    const [roll, pitch, heading] = measured.rpy_rad;
+    return { roll, pitch, heading, goal: null, route: null, current: null };
+  }
   if (!estimate) return null;
   const here = estimate.pos_ned_m, [roll, pitch, heading] = estimate.rpy_rad, [u, v] = estimate.current_ned_m_s;
   const far = (place) => Math.hypot(place[0] - here[0], place[1] - here[1]);
@@ -36,8 +40,8 @@ export function attitudeWords(facts) {
   const compass = [[`heading ${bearingText(facts.heading)}`, "body", "line"]];
   if (goal) compass.push([`goal ${goal.bearing === null ? "" : `${bearingText(goal.bearing)}, `}${figure(goal.distance_m, 2)} m`, "goal", "line"]);
   if (route !== null) compass.push([`route ${bearingText(route)}`, "route", "dotted"]);
-  const { speed_m_s: speed } = current;
-  compass.push([`current ${speed < STILL_M_S ? "" : `to ${bearingText(current.bearing)}, `}${figure(speed, 2)} m/s`, "felt", "line"]);
+  const speed = current && current.speed_m_s;
+  if (current) compass.push([`current ${speed < STILL_M_S ? "" : `to ${bearingText(current.bearing)}, `}${figure(speed, 2)} m/s`, "felt", "line"]);
   return { horizon: [[`roll ${turn(facts.roll)}`], [`pitch ${turn(facts.pitch)}`]], compass };
 }
 
@@ -92,7 +96,7 @@ export function drawCompass(ctx, width, height, facts, colors) {
   fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
   stroke(ctx, shape, colors.body, 1.5, true);
   if (goal && goal.bearing !== null) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
-  if (current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
+  if (current && current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
 }
 
 function clear(ctx, width, height, colors) {

@@ -18,14 +18,15 @@ export const CHARTS = [
 ];
 
 // Of one frame, as COLUMNS.
-function values({ t_s, estimate: nav, truth, thrust_n, control }) {
-  const lone = [t_s, NaN, NaN, NaN, NaN, NaN];
+function values({ t_s, estimate: nav, measured, truth, thrust_n, control }) {
+  const { depth_m: depth, rpy_rad: rpy } = measured ?? {}, heading = (yaw) => ((yaw * 180) / Math.PI + 360) % 360;
+  const lone = [t_s, NaN, NaN, depth ?? NaN, rpy ? heading(rpy[2]) : NaN, NaN];
   const thrust = thrust_n.length ? [Math.min(...thrust_n), Math.max(...thrust_n)] : [NaN, NaN];
   const solve = control ? control.solve_ms : NaN;
   if (!nav || nav.health === "INVALID") return [...lone, ...thrust, NaN, NaN, solve];
-  const [u, v] = nav.vel_water_frd_m_s, turn = (nav.rpy_rad[2] * 180) / Math.PI;
+  const [u, v] = nav.vel_water_frd_m_s;
   const error = truth ? 1e3 * Math.hypot(...truth.pos_ned_m.map((value, axis) => value - nav.pos_ned_m[axis])) : NaN;
-  return [t_s, ...nav.pos_ned_m, (turn + 360) % 360, Math.hypot(u, v), ...thrust, error, 3e3 * Math.max(...nav.sigma_pos_m), solve];
+  return [t_s, ...nav.pos_ned_m, heading(nav.rpy_rad[2]), Math.hypot(u, v), ...thrust, error, 3e3 * Math.max(...nav.sigma_pos_m), solve];
 }
 
 // The first index in rising times whose time is above t.

@@ -20,7 +20,7 @@ export class Player {
   }
 
   async open() {
-    this.log = await asked("/log");
+    this.log = await asked("log");
     this.window = [this.log.begin_s, this.log.end_s];
     return this.log;
   }
@@ -66,7 +66,7 @@ export class Player {
     if (from > this.log.end_s) return null;
     this.blocks.set(key, made);
     if (this.blocks.size > KEPT_BLOCKS) this.blocks.delete(this.blocks.keys().next().value);
-    asked(`/frames?from=${from}&to=${from + (BLOCK - 1) * step}&step=${step}`).then((answer) => {
+    asked(`frames?from=${from}&to=${from + (BLOCK - 1) * step}&step=${step}`).then((answer) => {
       Object.assign(made, { frames: answer.frames, trail: answer.trail_ned_m });
     }, (error) => { this.blocks.delete(key); this.failed(error); });
     return null;
@@ -88,7 +88,7 @@ export class Player {
     this.asking = true;
     const t = this.t;
     try {
-      const { frames: [frame], trail_ned_m: trail } = await asked(`/frames?from=${t}&to=${t}&step=1`);
+      const { frames: [frame], trail_ned_m: trail } = await asked(`frames?from=${t}&to=${t}&step=1`);
       if (!this.playing) this.give(frame, frame.estimate ? [...trail, frame.estimate.pos_ned_m] : trail);
     } catch (error) { this.failed(error); }
     this.asking = false;
@@ -107,7 +107,7 @@ export class Player {
     this.looking = true;
     this.pictured = t;
     try {
-      const picture = await asked(`/picture?t=${t}`), image = picture && new Image();
+      const picture = await asked(`picture?t=${t}`), image = picture && new Image();
       if (image) {
         image.src = `data:image/jpeg;base64,${picture.jpeg}`;
         await image.decode();
@@ -130,7 +130,7 @@ export class Player {
     this.charts = new History(false);
     try {
       for (let k = 0; from + k * step <= to; k += PART) {
-        const last = Math.min(from + (k + PART - 1) * step, to), { frames } = await asked(`/frames?from=${from + k * step}&to=${last}&step=${step}`);
+        const last = Math.min(from + (k + PART - 1) * step, to), { frames } = await asked(`frames?from=${from + k * step}&to=${last}&step=${step}`);
         if (turn !== this.turn) return;
         for (const frame of frames) this.charts.add(frame, this.log.scene);
         this.drawn();

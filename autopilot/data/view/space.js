@@ -52,7 +52,7 @@ export class SpaceView {
     const context = this.canvas.getContext("webgl", { antialias: true });
     if (!context) throw new Error("3-D needs WebGL, which this browser does not offer");
     if (context.isContextLost()) throw new Error(RESET);
-    const [{ World }] = await Promise.all([import("./space_world.js"), window.THREE ?? loaded("/three.js")]);
+    const [{ World }] = await Promise.all([import("./space_world.js"), window.THREE ?? loaded("three.js")]);
     return new World(window.THREE, this.canvas, context);
   }
 

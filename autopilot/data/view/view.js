@@ -117,7 +117,8 @@ function showAges() {
   const noPlace = dead || lost(frame), old = pictureOld(now);
   mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "space", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
-  mark("attitudeage", place, noPlace, "dials");
+  const turned = Boolean(frame.measured && frame.measured.rpy_rad);
+  mark("attitudeage", turned ? told(behind, dead) : place, turned ? dead : noPlace, "dials");
   mark("barsage", place, noPlace, "bars");
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
   mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
@@ -164,7 +165,7 @@ function bar(name, value, limit, words, two) {
 const aged = (name, words, age, limit) => (age > limit ? [name, `${words} (${ageText(age)} old)`, "stale"] : [name, words]);
 
 function showState(frame) {
-  const { estimate: nav, truth, control, progress, battery, loop, goal } = frame, rows = [];
+  const { estimate: nav, measured, truth, control, progress, battery, loop, goal } = frame, rows = [];
   const kind = nav && lost(frame) ? "stale" : "";
   if (nav) {
     rows.push(["Estimate", nav.health + (nav.doubts.length ? ` (doubt: ${nav.doubts.join(", ")})` : "")]);
@@ -176,6 +177,8 @@ function showState(frame) {
     rows.push(["Speed over ground", `${fixed(Math.hypot(...nav.vel_frd_m_s))} m/s${asked}`, kind]);
     rows.push(["Estimated current", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`, kind]);
   } else rows.push(["Estimate", "none"]);
+  if (measured && measured.depth_m !== null) rows.push(["Depth by pressure", `${fixed(measured.depth_m)} m`]);
+  if (measured && measured.rpy_rad) rows.push(["Roll, pitch, yaw by AHRS", measured.rpy_rad.map(degrees).join(", ")]);
   if (truth && nav) {
     const off = Math.hypot(...truth.pos_ned_m.map((v, i) => v - nav.pos_ned_m[i]));
     rows.push(["Position error", `${(1e3 * off).toFixed(1)} mm`]);
@@ -292,7 +295,7 @@ function showScene(scene) {
 // The stream
 
 function listen(anew = false) {
-  const wanted = $("camerabox").open ? "/events?pictures=1" : "/events";
+  const wanted = $("camerabox").open ? "events?pictures=1" : "events";
   if (!anew && source && source.url.endsWith(wanted)) return;
   if (source) source.close();
   opened = heard = seconds();
@@ -409,7 +412,7 @@ function say(words) { put("said", words); $("said").className = ""; }
 async function ask(table) {
   const said = $("said");
   try {
-    const answer = await fetch("/do", { method: "POST", headers: { "Content-Type": "application/json", "X-View-Token": token }, body: JSON.stringify(table) });
+    const answer = await fetch("do", { method: "POST", headers: { "Content-Type": "application/json", "X-View-Token": token }, body: JSON.stringify(table) });
     const words = await answer.json();
     said.textContent = words.done || words.error;
     said.className = answer.ok ? "" : "bad";
