@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from viewers import Run, run
 
-pytestmark = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
+pytestmark = needs_browser
 
 TEXT = "document.getElementById('%s').textContent"
 CLOCK = "parseFloat(document.getElementById('clock').textContent)"

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -12,8 +11,9 @@ from typing import Any
 
 import msgspec
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from click.testing import CliRunner
+from scripted_page import module
 from viewers import PATIENCE_S, get, post
 
 from autopilot.cli.log import log as log_command
@@ -22,7 +22,6 @@ from autopilot.run.children import autopilot_command, free_port
 from autopilot.view.page_state import LogFramesView, LogView, PictureView
 from tests.log.log_synthetic import Run, write_run
 
-needs_browser = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 ARROW, SPACE, HOME, END = ("ArrowRight", 39), (" ", 32), ("Home", 36), ("End", 35)
 
 
@@ -291,29 +290,24 @@ def test_a_log_without_truth_and_pictures(tmp_path: Path, dark: bool) -> None:
     assert made.end() == 0
 
 
-# In node
-
-HISTORY = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "history.js").as_uri()
-
-
-@pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+@needs_browser
 def test_ten_minutes_are_kept_and_no_more() -> None:
     """At ten frames a second; each moment is that frame with its messages; a run that begins anew has no past."""
-    code = f"""import {{ History, KEPT }} from "{HISTORY}";
-    const history = new History(), scene = {{ name: 1 }};
-    const frame = (k) => ({{ scene: 1, t_s: k / 10, truth: null, control: null, thrust_n: [k, -k],
-        messages: k % 100 ? [] : [{{ number: k / 100 + 1, t_s: k / 10, text: `at ${{k}}` }}],
-        estimate: {{ health: "GOOD", pos_ned_m: [k / 100, 0, 1], rpy_rad: [0, 0, -1],
-            vel_water_frd_m_s: [3, 4, 0], sigma_pos_m: [0, 0, 0] }} }});
-    for (let k = 0; k < 20000; k += 1) history.add(frame(k), scene);
-    const {{ frame: old, trail }} = history.moment(1950.04);
-    const made = [KEPT, history.count, history.frames.length, history.end - history.begin];
-    made.push(old.t_s, old.messages.at(-1).text, trail.length, trail.at(-1)[0]);
-    made.push(history.columns.heading[0], history.columns.speed[0], history.moment(0).frame.t_s === history.begin);
-    history.add(frame(3), scene);
-    console.log(JSON.stringify([...made, history.count, history.begin]));"""
-    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
-    kept, count, frames, span, t_s, text, points, north, heading, speed, first, after, begin = json.loads(done.stdout)
+    kept, count, frames, span, t_s, text, points, north, heading, speed, first, after, begin = module(
+        "history",
+        """const { History, KEPT } = history, all = new History(), scene = { name: 1 };
+        const frame = (k) => ({ scene: 1, t_s: k / 10, truth: null, control: null, thrust_n: [k, -k],
+            messages: k % 100 ? [] : [{ number: k / 100 + 1, t_s: k / 10, text: `at ${k}` }],
+            estimate: { health: "GOOD", pos_ned_m: [k / 100, 0, 1], rpy_rad: [0, 0, -1],
+                vel_water_frd_m_s: [3, 4, 0], sigma_pos_m: [0, 0, 0] } });
+        for (let k = 0; k < 20000; k += 1) all.add(frame(k), scene);
+        const { frame: old, trail } = all.moment(1950.04);
+        made.push(KEPT, all.count, all.frames.length, all.end - all.begin);
+        made.push(old.t_s, old.messages.at(-1).text, trail.length, trail.at(-1)[0]);
+        made.push(all.columns.heading[0], all.columns.speed[0], all.moment(0).frame.t_s === all.begin);
+        all.add(frame(3), scene);
+        made.push(all.count, all.begin);""",
+    )
     assert kept <= count == frames <= 1.25 * kept and 600 - 0.2 <= span <= 750
     assert (t_s, text, after, begin) == (1950, "at 19500", 1, 0.3) and points == 1500 and north == 195
     assert heading == pytest.approx(302.7, abs=0.1) and speed == 5 and first
