@@ -41,22 +41,12 @@ MAX_ASK_BYTES = 4096
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 TOKEN_HEADER = "X-View-Token"
 
+FOLDER = files("autopilot") / "data" / "view"
+TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 PAGES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/view.css": ("view.css", "text/css; charset=utf-8"),
-    "/view.js": ("view.js", "text/javascript; charset=utf-8"),
-    "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
-    "/ink.js": ("ink.js", "text/javascript; charset=utf-8"),
-    "/margins.js": ("margins.js", "text/javascript; charset=utf-8"),
-    "/space.js": ("space.js", "text/javascript; charset=utf-8"),
-    "/space_world.js": ("space_world.js", "text/javascript; charset=utf-8"),
-    "/plan.js": ("plan.js", "text/javascript; charset=utf-8"),
-    "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
-    "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
-    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
-    "/timeline.js": ("timeline.js", "text/javascript; charset=utf-8"),
-    "/player.js": ("player.js", "text/javascript; charset=utf-8"),
-    "/icon.svg": ("icon.svg", "image/svg+xml"),
+    "/" if file.name == "index.html" else f"/{file.name}": (file.name, f"{TYPES[suffix]}; charset=utf-8")
+    for file in sorted(FOLDER.iterdir(), key=lambda file: file.name)
+    if (suffix := file.name.rpartition(".")[2]) in TYPES
 }
 """Path -> file of the package, type."""
 THREE_PATH = "/three.js"
@@ -112,7 +102,7 @@ class _Server(ThreadingHTTPServer):
 
 def _file(name: str) -> bytes:
     """A packaged file of the page."""
-    return (files("autopilot") / "data" / "view" / name).read_bytes()
+    return (FOLDER / name).read_bytes()
 
 
 def _three_js() -> Path | None:

@@ -1,4 +1,5 @@
 // What was shown in the last minutes: frames to go back to, and strip charts of them. Nothing here knows the page.
+import { clear, number, stroke, text } from "./ink.js";
 
 export const KEPT = 6000; // frames: ten minutes of ten a second
 const SPARE = KEPT / 4; // beyond that the oldest are dropped at once
@@ -45,7 +46,7 @@ export class History {
 
   clear() {
     this.columns = Object.fromEntries(COLUMNS.map((name) => [name, new Float64Array(KEPT + SPARE)]));
-    Object.assign(this, { count: 0, frames: [], messages: [], scenes: new Map(), flows: [], pictures: [], before: [] });
+    Object.assign(this, { count: 0, frames: [], messages: [], scenes: new Map(), flows: [], pictures: [], before: [], passed: [], passed_s: [] });
   }
 
   get begin() { return this.count ? this.columns.t[0] : 0; }
@@ -63,6 +64,7 @@ export class History {
     values(frame).forEach((value, place) => { this.columns[COLUMNS[place]][this.count] = value; });
     this.count += 1;
     if (!this.whole) return;
+    if (frame.estimate && frame.estimate.health !== "INVALID") this.pass(frame.t_s, frame.estimate.pos_ned_m);
     this.frames.push(JSON.stringify({ ...frame, messages: [] }));
     if (!this.scenes.has(frame.scene)) {
       this.scenes.set(frame.scene, scene);
@@ -75,6 +77,8 @@ export class History {
     for (const column of Object.values(this.columns)) column.copyWithin(0, SPARE);
     this.frames.splice(0, SPARE);
     this.count -= SPARE;
+    const gone = above(this.passed_s, this.passed_s.length, this.begin);
+    for (const list of [this.passed, this.passed_s]) list.splice(0, gone);
   }
 
   // Of things that come more seldom than frames: one for each second.
@@ -92,18 +96,21 @@ export class History {
     const last = (list) => list.filter((one) => one.t_s <= frame.t_s).pop() ?? null, picture = last(this.pictures);
     return {
       frame: { ...frame, messages: messagesUpTo(this.messages, frame.t_s) },
-      scene: this.scenes.get(frame.scene) ?? null, trail: this.trail(index), flow: last(this.flows), picture, image: picture && picture.image,
+      scene: this.scenes.get(frame.scene) ?? null, trail: this.trail(frame.t_s), flow: last(this.flows), picture, image: picture && picture.image,
     };
   }
 
-  trail(index) {
-    const { north, east, depth } = this.columns, points = [];
-    for (let k = index; k >= 0 && points.length < TRAIL; k -= 1) {
-      const last = points[points.length - 1];
-      if (Number.isNaN(north[k]) || (last && Math.hypot(last[0] - north[k], last[1] - east[k], last[2] - depth[k]) <= TRAIL_STEP_M)) continue;
-      points.push([north[k], east[k], depth[k]]);
-    }
-    return [...this.before.slice(points.length - TRAIL), ...points.reverse()];
+  // Where it had been until then, oldest first.
+  trail(t_s) {
+    const end = above(this.passed_s, this.passed_s.length, t_s), kept = this.passed.slice(Math.max(end - TRAIL, 0), end);
+    return kept.length < TRAIL ? [...this.before.slice(kept.length - TRAIL), ...kept] : kept;
+  }
+
+  pass(t_s, place) {
+    const last = this.passed[this.passed.length - 1];
+    if (last && Math.hypot(...place.map((value, axis) => value - last[axis])) <= TRAIL_STEP_M) return;
+    this.passed.push(place);
+    this.passed_s.push(t_s);
   }
 }
 
@@ -112,9 +119,7 @@ export const messagesUpTo = (messages, t_s) => messages.filter((message) => mess
 // Charts
 
 const MORE_PX = 200; // from that width on the name says all lines
-const PAD = { left: 34, right: 8, top: 18, bottom: 14 }, FONT = "11px system-ui, sans-serif";
-
-const number = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
+const PAD = { left: 34, right: 8, top: 18, bottom: 14 }, FONT_PX = 11;
 
 function layout(width, height) {
   const columns = width >= 900 ? 6 : width >= 540 ? 3 : 2, rows = CHARTS.length / columns;
@@ -170,19 +175,9 @@ function range({ lines, bounds, least, turns }, { columns }, first, last, scene)
 
 // `frame`: what is shown at the time `at`, whose values stand beside the names; `label`: how a time is written.
 export function drawCharts(ctx, width, height, { history, scene, frame, from, to, at, label }, colors) {
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
-  ctx.font = FONT;
-  ctx.textBaseline = "middle";
-  const words = (said, x, y, color, align) => { ctx.fillStyle = color; ctx.textAlign = align; ctx.fillText(said, x, y); };
-  const line = (points, color, wide, dash = []) => {
-    ctx.beginPath();
-    points.forEach(([x, y], place) => (place ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-    ctx.setLineDash(dash);
-    ctx.strokeStyle = color;
-    ctx.lineWidth = wide;
-    ctx.stroke();
-  };
+  clear(ctx, width, height, colors);
+  const words = (said, x, y, color, align) => text(ctx, said, x, y, color, align, FONT_PX);
+  const line = (points, color, wide, dash) => stroke(ctx, points, color, wide, false, dash);
   const { t } = history.columns, first = Math.max(above(t, history.count, from) - 1, 0), last = above(t, history.count, to);
   const here = frame ? Object.fromEntries(values(frame).map((value, place) => [COLUMNS[place], value])) : {};
   for (const { chart, x, y, w, h } of layout(width, height)) {

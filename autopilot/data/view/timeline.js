@@ -1,4 +1,5 @@
 // Slider, buttons and strip charts: back to a moment of the live view, or through a log.
+import { plainKey } from "./gestures.js";
 import { drawCharts, timeAt } from "./history.js";
 import { RATES } from "./player.js";
 
@@ -55,7 +56,7 @@ export class Timeline {
   // Space plays, arrows step, Home and End go to the ends, Escape back to the present.
   key(event) {
     const { source } = this, tag = event.target.tagName;
-    if (event.ctrlKey || event.metaKey || event.altKey || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
+    if (!plainKey(event) || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
     const step = event.shiftKey ? LARGE_S : SMALL_S;
     const work = {
       " ": () => source.play(!source.playing),
