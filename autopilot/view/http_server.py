@@ -52,7 +52,7 @@ PAGES = {
 THREE_PATH = "/three.js"
 NO_THREE = "3-D needs three.js, which comes with the package pythreejs: pip install 'underwater-autopilot[view3d]'"
 
-LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",)}
+LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",), "/flow": ("t",)}
 """Of a log that is played: path -> times that it needs."""
 
 POLICY = (
@@ -260,7 +260,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.hub.leave(viewer)
 
     def _play(self, log: LogFrames, path: str, query: dict[str, list[str]]) -> None:
-        """A part of the log: what it is, frames, or a picture."""
+        """A part of the log: what it is, frames, a picture, or the field of the current."""
         given: dict[str, float] = {}
         for name in LOG_PATHS[path]:
             text = query.get(name, [""])[-1]
@@ -277,6 +277,8 @@ class _Handler(BaseHTTPRequestHandler):
                 answer = log.about()
             elif path == "/frames":
                 answer = log.frames(**given)
+            elif path == "/flow":
+                answer = log.flow(**given)
             else:
                 answer = log.picture(**given)
         except ViewError as error:

@@ -144,7 +144,7 @@ const timeline = new Timeline(log ? played : recent, log);
 drawWith(draw);
 $("camerabox").addEventListener("toggle", () => {
   if (!log) listen();
-  else { player.pictures = $("camerabox").open; if (player.log) player.picture(); }
+  else { player.pictures = $("camerabox").open; if (player.log) player.rest(); }
 });
 $("distances").addEventListener("click", () => {
   seen.margins = !seen.margins;
