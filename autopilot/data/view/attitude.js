@@ -1,6 +1,6 @@
 // Artificial horizon and compass. Nothing here knows the page: a context, a size, figures and colours go in.
 // Attitude is that of FRD axes: roll positive with the right side down, pitch positive with the nose up.
-import { arrow, circle, clear, fill, hull, number, path, stroke, text } from "./ink.js";
+import { arrow, circle, clear, fill, hull, number, stroke, text } from "./ink.js";
 
 const SPAN_RAD = 0.6; // from the middle of the horizon to its rim
 const LADDER_DEG = [-30, -20, -10, 10, 20, 30];
@@ -55,7 +55,8 @@ export function drawHorizon(ctx, width, height, facts, colors) {
   if (!facts) return;
   const at = seenAt(facts, middle, reach), far = 4 + Math.abs(facts.pitch);
   ctx.save();
-  disc(ctx, middle, reach);
+  ctx.beginPath();
+  ctx.arc(...middle, reach, 0, 2 * Math.PI);
   ctx.clip();
   fill(ctx, [[-far, 0], [far, 0], [far, 2 * far], [-far, 2 * far]].map(at), colors.above);
   fill(ctx, [[-far, 0], [far, 0], [far, -2 * far], [-far, -2 * far]].map(at), colors.below);
@@ -92,8 +93,4 @@ export function drawCompass(ctx, width, height, facts, colors) {
   stroke(ctx, shape, colors.body, 1.5, true);
   if (goal && goal.bearing !== null) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
   if (current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
-}
-
-function disc(ctx, [x, y], radius) {
-  path(ctx, Array.from({ length: 72 }, (_, k) => [x + radius * Math.cos(rad(5 * k)), y + radius * Math.sin(rad(5 * k))]), true);
 }

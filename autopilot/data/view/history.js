@@ -173,30 +173,46 @@ function range({ lines, bounds, least, turns }, { columns }, first, last, scene)
   return { low: low - (least === undefined ? pad : 0), high: high + pad, ends };
 }
 
+// The lines as they were drawn last, and of what: a time that is dragged through them leaves them as they are.
+const drawn = { of: [], canvas: null };
+
 // `frame`: what is shown at the time `at`, whose values stand beside the names; `label`: how a time is written.
 export function drawCharts(ctx, width, height, { history, scene, frame, from, to, at, label }, colors) {
-  clear(ctx, width, height, colors);
-  const words = (said, x, y, color, align) => text(ctx, said, x, y, color, align, FONT_PX);
-  const line = (points, color, wide, dash) => stroke(ctx, points, color, wide, false, dash);
   const { t } = history.columns, first = Math.max(above(t, history.count, from) - 1, 0), last = above(t, history.count, to);
+  const { width: across, height: high } = ctx.canvas, ends = [label(from), label(to)];
+  const of = [history, scene, colors, across, high, width, from, to, ...ends, t[first], first, last];
+  if (!across || !high) return;
+  if (of.some((value, place) => value !== drawn.of[place])) {
+    Object.assign(drawn, { of, canvas: new OffscreenCanvas(across, high) });
+    const lines = drawn.canvas.getContext("2d");
+    lines.scale(across / width, high / height);
+    drawLines(lines, width, height, { history, scene, first, last, from, to, ends }, colors);
+  }
+  ctx.drawImage(drawn.canvas, 0, 0, width, height);
   const here = frame ? Object.fromEntries(values(frame).map((value, place) => [COLUMNS[place], value])) : {};
+  for (const { chart, x, y, w, h } of layout(width, height)) {
+    const now = x + w * Math.min(Math.max((at - from) / Math.max(to - from, 1e-9), 0), 1);
+    stroke(ctx, [[now, y], [now, y + h]], colors.ink, 1);
+    const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
+    const name = chart.other && !Number.isFinite(here.error) ? chart.other : chart.name + ((w > MORE_PX && chart.more) || ""); // no truth, no error
+    text(ctx, name, x, y - 9, colors.weak, "left", FONT_PX);
+    text(ctx, `${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right", FONT_PX);
+  }
+}
+
+function drawLines(ctx, width, height, { history, scene, first, last, from, to, ends: [begin, end] }, colors) {
+  clear(ctx, width, height, colors);
   for (const { chart, x, y, w, h } of layout(width, height)) {
     const { low, high, ends } = range(chart, history, first, last, scene), perSecond = w / Math.max(to - from, 1e-9);
     const level = (value) => y + h * (chart.down ? (value - low) / (high - low) : (high - value) / (high - low));
     const within = (points) => points.map(([px, value]) => [x + Math.min(Math.max(px, 0), w), level(value)]);
-    line([[x, y], [x, y + h], [x + w, y + h]], colors.grid, 1);
-    for (const bound of chart.bounds(scene)) line([[x, level(bound)], [x + w, level(bound)]], colors.fence, 1, [5, 4]);
+    stroke(ctx, [[x, y], [x, y + h], [x + w, y + h]], colors.grid, 1);
+    for (const bound of chart.bounds(scene)) stroke(ctx, [[x, level(bound)], [x + w, level(bound)]], colors.fence, 1, false, [5, 4]);
     for (const [name, color] of chart.lines) {
-      for (const run of outline(t, history.columns[name], first, last, from, perSecond, chart.turns)) line(within(run), colors[color], 1.5);
+      for (const run of outline(history.columns.t, history.columns[name], first, last, from, perSecond, chart.turns)) stroke(ctx, within(run), colors[color], 1.5);
     }
-    const now = x + Math.min(Math.max((at - from) * perSecond, 0), w);
-    line([[now, y], [now, y + h]], colors.ink, 1);
-    const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
-    const name = chart.other && !Number.isFinite(here.error) ? chart.other : chart.name + ((w > MORE_PX && chart.more) || ""); // no truth, no error
-    words(name, x, y - 9, colors.weak, "left");
-    words(`${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right");
-    for (const value of ends) words(number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right");
-    words(label(from), x, y + h + 7, colors.weak, "left");
-    words(label(to), x + w, y + h + 7, colors.weak, "right");
+    for (const value of ends) text(ctx, number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right", FONT_PX);
+    text(ctx, begin, x, y + h + 7, colors.weak, "left", FONT_PX);
+    text(ctx, end, x + w, y + h + 7, colors.weak, "right", FONT_PX);
   }
 }

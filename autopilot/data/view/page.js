@@ -29,18 +29,29 @@ export function element(tag, words, kind) {
   return made;
 }
 
-// What stands in an element, where a reader of the screen hears every change.
-export function put(id, words) {
-  if ($(id).textContent !== words) $(id).textContent = words;
+// Nothing is written that stands there already: a reader of the screen hears every change, and each is laid out.
+export function set(one, name, value) {
+  if (one[name] !== value) one[name] = value;
 }
+
+export function put(id, words) { set($(id), "textContent", words); }
+
+// Sizes of canvases as the layout was last: to ask for them between two changes of the page would lay it out anew.
+const sizes = new Map();
+const resized = new ResizeObserver((entries) => {
+  for (const { target } of entries) sizes.set(target, [target.clientWidth, target.clientHeight]);
+  soon();
+});
 
 // Canvases in the screen's own pixels.
 export function context(canvas) {
-  const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
+  if (!sizes.has(canvas)) {
+    sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
+    resized.observe(canvas);
   }
+  const ratio = window.devicePixelRatio || 1, [width, height] = sizes.get(canvas);
+  set(canvas, "width", Math.round(width * ratio));
+  set(canvas, "height", Math.round(height * ratio));
   const ctx = canvas.getContext("2d");
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   return [ctx, width, height];

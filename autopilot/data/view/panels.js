@@ -2,7 +2,7 @@
 import { ageText, pictureAge } from "./ages.js";
 import { attitudeOf, attitudeWords, drawCompass, drawHorizon } from "./attitude.js";
 import { LEGEND } from "./draw.js";
-import { $, ages, colors, context, current, degrees, element, fixed, link, log, lost, pace, plain, put, seconds, seen, soon } from "./page.js";
+import { $, ages, colors, context, current, degrees, element, fixed, link, log, lost, pace, plain, put, seconds, seen, set, soon } from "./page.js";
 
 const PAST_PICTURE_S = 1; // between two pictures that are kept
 let messages = 0; // number of the newest that is listed
@@ -167,8 +167,8 @@ export function pictureOld(now) {
 
 // An age beside what it belongs to, which is grey when it is old.
 function mark(id, words, old, ...parts) {
-  $(id).textContent = words;
-  $(id).className = old ? "age old" : "age";
+  put(id, words);
+  set($(id), "className", old ? "age old" : "age");
   for (const part of parts) $(part).classList.toggle("stale", Boolean(old));
 }
 

@@ -25,26 +25,29 @@ function draw() {
     showHandles(width, height);
     drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
     space.draw({ ...shown, view: seen.view }, palette);
-    if (frame && $("attitude").open) showAttitude(shown.frame, palette);
-    if (seen.scene.steerable.current) {
-      drawFlow(...context($("flow")), seen.drag && seen.drag.flow ? seen.drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
-    }
     timeline.draw(...context($("strips")), seen, palette);
   }
-  timeline.show();
-  if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
+  if (!later) drawPanels(palette);
+  if ($("camerabox").open && !$("camerabox").hidden) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
 }
 
-// A moment that is not the present; parts that are left out stay. The drawings follow at once, the panels as often as
-// they can be read: to lay them out anew for each frame of a drag takes longer than a frame.
-const PANELS_S = 0.05;
+function drawPanels(palette) {
+  const { scene, frame, drag } = seen;
+  if (frame && $("attitude").open) showAttitude({ ...frame, control: current(frame) }, palette);
+  if (scene && scene.steerable.current) drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : frame && frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
+  timeline.show();
+}
+
+// A moment that is not the present; parts that are left out stay. Plan, side view and charts follow at once, the panels as
+// often as they can be read: to lay them out anew for each frame of a drag takes longer than a frame.
+const PANELS_S = 0.1; // as live
 let panelled = 0, later = 0;
 function showMoment(moment) {
   const { scene } = seen;
   Object.assign(seen, moment);
   if (seen.scene !== scene) showScene(seen.scene);
-  if (moment.frame && !later) later = setTimeout(showPanels, Math.max(0, 1e3 * (PANELS_S - seconds() + panelled)));
-  showAges();
+  if (!moment.frame) showAges();
+  else if (!later) later = setTimeout(showPanels, Math.max(0, 1e3 * (PANELS_S - seconds() + panelled)));
   soon();
 }
 
@@ -52,6 +55,7 @@ function showPanels() {
   later = 0;
   panelled = seconds();
   show(seen.frame, seen.scene);
+  drawPanels(colors());
 }
 
 // The past of the live view
