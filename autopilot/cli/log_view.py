@@ -29,7 +29,7 @@ def view(log_file: Path, port: int | None) -> None:
     """Play LOG in the page of the live view, on 127.0.0.1, until Ctrl-C."""
     from autopilot.cli.service_run import StopSignals
     from autopilot.log.reader import open_log
-    from autopilot.run.world_view import logged_world
+    from autopilot.run.sitl_world_view import logged_world
     from autopilot.view.http_server import ViewServer
     from autopilot.view.log_frames import LogFrames
 

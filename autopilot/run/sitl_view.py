@@ -18,8 +18,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
+from autopilot.run.sitl_world_view import flow_view, solid_views
 from autopilot.run.world import WatchedService
-from autopilot.run.world_view import flow_view, solid_views
 from autopilot.sitl.backend import SimulatedVehicle
 from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.view.controls import (
