@@ -2,8 +2,7 @@
 
 Flies the paper's mission for some seconds and photographs the live view as a desk and a phone show it; photographs the
 report of LOG, and draws into a picture of its camera what was found there. Writes docs/figures/view_desk.png,
-view_phone.png, report.png (these need a Chromium: docs/browser.py), demo_xy.png and camera.jpg. Without one
-docs/view_picture.py draws the view by the page's own code in node.
+view_phone.png, report.png (these need a Chromium: docs/browser.py), demo_xy.png and camera.jpg.
 """
 
 import shutil

@@ -42,7 +42,6 @@ PLACES: dict[tuple[str, str], str] = {
     ("docs/lines.py", "count"): "git",
     ("docs/page_pictures.py", "drawn"): "ours",
     ("docs/page_pictures.py", "reported"): "ours",
-    ("docs/view_picture.py", "drawn"): "node",
     ("docs/viewed_flight.py", "viewed_flight"): "ours",
     ("drivers/watchdog_process.py", "_start"): "ours",
     ("sitl/camera_process.py", "open"): "ours",

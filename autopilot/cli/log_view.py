@@ -29,11 +29,15 @@ def view(log_file: Path, port: int | None) -> None:
     """Play LOG in the page of the live view, on 127.0.0.1, until Ctrl-C."""
     from autopilot.cli.service_run import StopSignals
     from autopilot.log.reader import open_log
+    from autopilot.run.sitl_world_view import logged_world
     from autopilot.view.http_server import ViewServer
     from autopilot.view.log_frames import LogFrames
 
     opened = open_log(log_file)
-    frames = LogFrames(opened, _vehicle(opened))
+    world, unknown = logged_world(opened)
+    if unknown:
+        click.echo(f"warning: {log_file}: {unknown}; obstacles are shown as described, without the current", err=True)
+    frames = LogFrames(opened, _vehicle(opened), world)
     if opened.problems:
         click.echo(f"warning: {log_file}: {'; '.join(opened.problems)}; only what is readable is shown", err=True)
     server = ViewServer(port, frames, "--port")

@@ -10,7 +10,6 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NoAnswer
 
 import msgspec
-import numpy as np
 
 from autopilot.command.service_parts import ServiceParts
 from autopilot.core import operator_messages as notices
@@ -19,9 +18,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
+from autopilot.run.sitl_world_view import flow_view, solid_views
 from autopilot.run.world import WatchedService
 from autopilot.sitl.backend import SimulatedVehicle
-from autopilot.sitl.contact import Prism, Sphere
 from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.view.controls import (
     CallFault,
@@ -34,18 +33,14 @@ from autopilot.view.controls import (
     Speed,
     Steered,
     ViewError,
+    added_text,
+    moved_text,
 )
 from autopilot.view.feed import TruthSeen
-from autopilot.view.page_state import Arrow, FaultOffer, FlowView, Solid, Steerable
+from autopilot.view.page_state import FaultOffer, FlowView, Solid, Steerable
 
 ANSWER_S = 5.0
 """The loop answers an ask in that time, or is busy."""
-ARROWS = 13
-"""Arrows of the current along the longer side."""
-NEAR_M = 10.0
-"""Half the side of the finer grid round the vehicle in open water."""
-WIDE_ARROWS, WIDE = 21, 1.6
-"""Of the grid over all that the plan shows there: along a side, which is so many times as long, as screens are wide."""
 
 
 class WatchedSitl(WatchedService):
@@ -58,27 +53,7 @@ class WatchedSitl(WatchedService):
 
     def solids(self) -> tuple[Solid, ...]:
         plant = self._vehicle.steerable
-        if plant is None:
-            return ()
-        found = []
-        for number, solid in enumerate(plant.solids, start=1):
-            if isinstance(solid, Prism):
-                corners = np.array(solid.polygon_ned_m)
-                north, east = corners.mean(axis=0).tolist()
-                radius = float(np.hypot(*(corners - (north, east)).T).max())
-            else:
-                (north, east, *_), radius = solid.center_ned_m, solid.radius_m
-            found.append(
-                Solid(
-                    number=number,
-                    kind=type(solid).__name__.lower(),
-                    center_m=(north, east),
-                    depth_m=solid.center_ned_m[2] if isinstance(solid, Sphere) else None,
-                    radius_m=radius,
-                    corners_m=tuple(solid.polygon_ned_m) if isinstance(solid, Prism) else (),
-                )
-            )
-        return tuple(found)
+        return () if plant is None else solid_views(plant.solids)
 
 
 class Steering(NoticeQueue):
@@ -122,39 +97,8 @@ class Steering(NoticeQueue):
         return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
 
     def flow(self, t_s: float, pos_ned_m: FloatArray, shown_m: FloatArray) -> FlowView | None:
-        """The current on a grid over the tank; in open water over what the plan shows, and finer round the vehicle."""
-        plant, tank = self._vehicle.steerable, self._scenario.tank
-        if plant is None:
-            return None
-
-        def field(low: FloatArray, high: FloatArray, most: int) -> tuple[Arrow, ...]:
-            """On a grid with so many arrows along the longer side."""
-            step = float((high - low).max()) / most
-            counts = np.maximum(np.round((high - low) / step).astype(int), 1)
-            sides = zip(low, high, counts, strict=True)
-            norths, easts = ((a + (np.arange(n) + 0.5) * (b - a) / n).tolist() for a, b, n in sides)
-            arrows = []
-            for north in norths:
-                for east in easts:
-                    u, v, _ = plant.current_at((north, east, float(pos_ned_m[2])), t_s)
-                    arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
-            return tuple(arrows)
-
-        if tank is not None:
-            return FlowView(
-                t_s=t_s, arrows=field(np.min(tank.polygon_m, axis=0), np.max(tank.polygon_m, axis=0), ARROWS)
-            )
-        # Centres on a lattice: the arrows stand still while the vehicle moves.
-        step = 2.0 * NEAR_M / ARROWS
-        middle = np.round(pos_ned_m[:2] / step) * step
-        near = field(middle - NEAR_M, middle + NEAR_M, ARROWS)
-        low, high = np.min(shown_m, axis=0), np.max(shown_m, axis=0)
-        half = 0.5 * WIDE * float((high - low).max())
-        if half <= NEAR_M:
-            return FlowView(t_s=t_s, arrows=near)
-        step = 2.0 * half / WIDE_ARROWS
-        middle = np.round(0.5 * (low + high) / step) * step
-        return FlowView(t_s=t_s, arrows=field(middle - half, middle + half, WIDE_ARROWS), near=near)
+        plant = self._vehicle.steerable
+        return None if plant is None else flow_view(plant.current_at, self._scenario.tank, t_s, pos_ned_m, shown_m)
 
     def do(self, request: ControlRequest) -> str:
         """Hand it to the loop and wait for its answer."""
@@ -209,7 +153,7 @@ class Steering(NoticeQueue):
                 text = self._add_flow(north, east)
             case DragObstacle(number=number, north_m=north, east_m=east):
                 self._vehicle.put_obstacle(number, north, east)
-                text = f"Obstacle {number} moved to {north:.2f} N {east:.2f} E"
+                text = moved_text(number, north, east)
             case CallFault(fault=fault):
                 text = self._call(t_us, fault)
         self._notices.append(notices.VIEW(text=text))
@@ -222,9 +166,7 @@ class Steering(NoticeQueue):
     def _add_flow(self, north_m_s: float, east_m_s: float) -> str:
         self._vehicle.add_flow((north_m_s, east_m_s))
         self._flow_m_s = (north_m_s, east_m_s)
-        if north_m_s == east_m_s == 0.0:
-            return "No current added"
-        return f"Current {north_m_s:+.2f} N {east_m_s:+.2f} E m/s added"
+        return added_text(north_m_s, east_m_s)
 
     def _call(self, t_us: int, table: dict[str, object]) -> str:
         try:

@@ -4,6 +4,7 @@ The browser sends one of the ``ControlRequest`` tables. The loop executes it bet
 (:mod:`autopilot.run.sitl_view`); the browser gets the result.
 """
 
+import re
 from typing import Annotated, Protocol, TypeAlias
 
 import msgspec
@@ -55,6 +56,29 @@ class CallFault(Table, frozen=True, kw_only=True, tag_field="do", tag="fault"):
 
 
 ControlRequest: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallFault
+
+
+def moved_text(number: int, north_m: float, east_m: float) -> str:
+    """The message of a :class:`DragObstacle`."""
+    return f"Obstacle {number} moved to {north_m:.2f} N {east_m:.2f} E"
+
+
+def added_text(north_m_s: float, east_m_s: float) -> str:
+    """The message of a :class:`DragCurrent`."""
+    return f"Current {north_m_s:+.2f} N {east_m_s:+.2f} E m/s added"
+
+
+_MOVED = re.compile(r"View: Obstacle (\d+) moved to (-?[\d.]+) N (-?[\d.]+) E")
+_ADDED = re.compile(r"View: Current ([+-][\d.]+) N ([+-][\d.]+) E m/s added")
+
+
+def dragged(text: str) -> DragObstacle | DragCurrent | None:
+    """What was dragged, to the centimetre [m] or centimetre per second, by the message in a log; None of others."""
+    if found := _MOVED.fullmatch(text):
+        return DragObstacle(number=int(found[1]), north_m=float(found[2]), east_m=float(found[3]))
+    if found := _ADDED.fullmatch(text):
+        return DragCurrent(north_m_s=float(found[1]), east_m_s=float(found[2]))
+    return None
 
 
 class ViewError(AutopilotError):

@@ -51,6 +51,8 @@ TRAIL_POINTS = 1200
 """Five minutes."""
 TRACK_US = 5_000_000
 """Display time of an obstacle report."""
+UNKNOWN_NED_M = (0.0, 0.0, 0.5)
+"""Where the current is shown at first, while there is no estimate."""
 CAMERA = "camera"
 DEVICES = {kind: row for row in SENSOR_ROWS if row.device != CAMERA for kind in row.kinds}
 """Devices by sample type; pictures are handled separately."""

@@ -45,22 +45,12 @@ LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 LOOPBACK_ADDRESS = "127.0.0.1"
 TOKEN_HEADER = "X-View-Token"
 
+FOLDER = files("autopilot") / "data" / "view"
+TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 PAGES = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/view.css": ("view.css", "text/css; charset=utf-8"),
-    "/view.js": ("view.js", "text/javascript; charset=utf-8"),
-    "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
-    "/ink.js": ("ink.js", "text/javascript; charset=utf-8"),
-    "/margins.js": ("margins.js", "text/javascript; charset=utf-8"),
-    "/space.js": ("space.js", "text/javascript; charset=utf-8"),
-    "/space_world.js": ("space_world.js", "text/javascript; charset=utf-8"),
-    "/plan.js": ("plan.js", "text/javascript; charset=utf-8"),
-    "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
-    "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
-    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
-    "/timeline.js": ("timeline.js", "text/javascript; charset=utf-8"),
-    "/player.js": ("player.js", "text/javascript; charset=utf-8"),
-    "/icon.svg": ("icon.svg", "image/svg+xml"),
+    "/" if file.name == "index.html" else f"/{file.name}": (file.name, f"{TYPES[suffix]}; charset=utf-8")
+    for file in sorted(FOLDER.iterdir(), key=lambda file: file.name)
+    if (suffix := file.name.rpartition(".")[2]) in TYPES
 }
 """Path -> file of the package, type."""
 THREE_PATH = "/three.js"
@@ -68,7 +58,7 @@ SERVICE_PATH = "/register_service"
 """Where BlueOS asks each web server of its computer whether that is an extension, and how to show it."""
 NO_THREE = "3-D needs three.js, which comes with the package pythreejs: pip install 'underwater-autopilot[view3d]'"
 
-LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",)}
+LOG_PATHS = {"/log": (), "/frames": ("from", "to", "step"), "/picture": ("t",), "/flow": ("t",)}
 """Of a log that is played: path -> times that it needs."""
 
 POLICY = (
@@ -123,7 +113,7 @@ class _Server(ThreadingHTTPServer):
 
 def _file(name: str) -> bytes:
     """A packaged file of the page."""
-    return (files("autopilot") / "data" / "view" / name).read_bytes()
+    return (FOLDER / name).read_bytes()
 
 
 def _three_js() -> Path | None:
@@ -318,7 +308,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.hub.leave(viewer)
 
     def _play(self, log: LogFrames, path: str, query: dict[str, list[str]]) -> None:
-        """A part of the log: what it is, frames, or a picture."""
+        """A part of the log: what it is, frames, a picture, or the field of the current."""
         given: dict[str, float] = {}
         for name in LOG_PATHS[path]:
             text = query.get(name, [""])[-1]
@@ -335,6 +325,8 @@ class _Handler(BaseHTTPRequestHandler):
                 answer = log.about()
             elif path == "/frames":
                 answer = log.frames(**given)
+            elif path == "/flow":
+                answer = log.flow(**given)
             else:
                 answer = log.picture(**given)
         except ViewError as error:

@@ -16,7 +16,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.view.ages import FLOW_S
 from autopilot.view.controls import Controls
 from autopilot.view.encode import frame_of, picture_of, plan_points_m, scene_of
-from autopilot.view.feed import Feed, TickSnapshot, Watched
+from autopilot.view.feed import UNKNOWN_NED_M, Feed, TickSnapshot, Watched
 
 POLL_S = 0.05
 IDLE_S = 0.5
@@ -181,7 +181,7 @@ class Hub:
         if now_s - self._flow_s >= FLOW_S:
             self._flow_s = now_s
             nav = snapshot.outputs.nav
-            place = np.array((0.0, 0.0, 0.5)) if nav is None else nav.pos_ned_m
+            place = np.array(UNKNOWN_NED_M) if nav is None else nav.pos_ned_m
             shown_m = plan_points_m(snapshot.description, place)
             flow = run.controls.flow(1e-6 * snapshot.outputs.t_us, place, shown_m)
             if flow is not None:

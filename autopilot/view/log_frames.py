@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
@@ -41,13 +42,15 @@ from autopilot.log.reader import Log
 from autopilot.log.sample_table import SAMPLE_ROWS
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL, read_path
-from autopilot.view.controls import Steered, ViewError
-from autopilot.view.encode import frame_of, message_of, picture_view, scene_of
-from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, TickSnapshot, TruthSeen
+from autopilot.view.controls import DragCurrent, DragObstacle, Steered, ViewError, dragged
+from autopilot.view.encode import frame_of, message_of, picture_view, plan_points_m, scene_of
+from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, UNKNOWN_NED_M, TickSnapshot, TruthSeen
 from autopilot.view.page_state import (
+    FlowView,
     LogFramesView,
     LogView,
     PictureView,
+    Point2,
     Point3,
     SceneView,
     Solid,
@@ -80,12 +83,20 @@ _status, _plan, _progress, _mode, _health, _power, _track = (
 _STATE = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s")
 
 
+class World(Protocol):
+    """The simulated world of the run; what the page has changed in it is in the messages of the log."""
+
+    def solids(self, t_s: float, moved_m: Mapping[int, Point2]) -> tuple[Solid, ...]: ...
+
+    def flow(self, t_s: float, pos_ned_m: FloatArray, shown_m: FloatArray, added_m_s: Point2) -> FlowView: ...
+
+
 class LogFrames:
     """Scene, frames, pictures and events of one log, by time. Safe for several threads."""
 
-    def __init__(self, log: Log, vehicle: Vehicle) -> None:
-        """LogError if nothing in it can be shown."""
-        self._log, self._vehicle = log, vehicle
+    def __init__(self, log: Log, vehicle: Vehicle, world: World | None = None) -> None:
+        """``world``: of a simulation, where it is known. LogError if nothing in it can be shown."""
+        self._log, self._vehicle, self._world = log, vehicle, world
         self._moments = LogMoments(log)
         self._begin_us, self._end_us = self._moments.span_us
         if not self._moments.topics:
@@ -157,6 +168,38 @@ class LogFrames:
         jpeg = base64.b64encode(found["data"]).decode()
         return picture_view(t_us=t_us, width_px=width_px, height_px=height_px, jpeg=jpeg, sighting=sighting)
 
+    def flow(self, t_s: float) -> FlowView | None:
+        """The simulated current at that time, None where it is not known."""
+        t_us = min(max(round(1e6 * t_s), self._begin_us), self._end_us)
+        if self._world is None:
+            return None
+        nav = self._latest("/nav/state", t_us)
+        place = np.array(UNKNOWN_NED_M) if nav is None else nav["pos_ned_m"]
+        return self._world.flow(1e-6 * t_us, place, plan_points_m(self._run, place), self._changes(t_us)[1])
+
+    @cached_property
+    def _dragged(self) -> tuple[tuple[int, DragObstacle | DragCurrent], ...]:
+        """What the page has changed, in the order of time [us]."""
+        return tuple((event.t_us, one) for event in self._events() if (one := dragged(event.text)) is not None)
+
+    def _changes(self, t_us: int) -> tuple[dict[int, Point2], Point2]:
+        """Where obstacles have been put by then, and the flow that was added [m/s]."""
+        moved: dict[int, Point2] = {}
+        added = (0.0, 0.0)
+        for at_us, one in self._dragged:
+            if at_us > t_us:
+                break
+            if isinstance(one, DragObstacle):
+                moved[one.number] = (one.north_m, one.east_m)
+            else:
+                added = (one.north_m_s, one.east_m_s)
+        return moved, added
+
+    def _solids(self, t_us: int) -> tuple[Solid, ...]:
+        if self._world is None:
+            return _solids(self._run, 1e-6 * t_us)
+        return self._world.solids(1e-6 * t_us, self._changes(t_us)[0])
+
     def _events(self) -> Iterator[Event]:
         for t_us, value in self._moments.every("/rosout"):
             yield Event(t_us=t_us, severity=SEVERITY.get(value.get("level", 0), 6), text=str(value.get("msg", "")))
@@ -191,7 +234,7 @@ class LogFrames:
             description=self._run,
             fence=self._fence,
             truth=self._truth(t_us),
-            solids=_solids(self._run, 1e-6 * t_us),
+            solids=self._solids(t_us),
             control=control,
             plan=None if plan is None else _plan(plan),
             plan_us=0 if plan is None else plan["t_us"],

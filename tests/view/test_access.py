@@ -1,15 +1,13 @@
 """The page for people who see little contrast, use no mouse, or hear the page: WCAG 2.2 AA where a machine can tell."""
 
-import json
 import re
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from browser_module import browser, needs_browser
+from scripted_page import module
 from viewers import Run, run
 
 PAGE = Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view"
@@ -55,15 +53,12 @@ def test_contrast_of_the_style_sheet(theme: str) -> None:
     assert poor(palette, texts, TEXT) == {} and poor(palette, graphics, GRAPHIC) == {}
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+@needs_browser
 @pytest.mark.parametrize("theme", THEMES)
 def test_contrast_of_the_drawings(theme: str) -> None:
     """Areas (margin, tube, pillar, nose) have edges in one of these colours or a line along them; the grid is told by
     its scale bar."""
-    url = (PAGE / "draw.js").as_uri()
-    code = f'import {{ DARK, LIGHT }} from "{url}"; console.log(JSON.stringify({{ dark: DARK, light: LIGHT }}));'
-    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
-    palette = json.loads(done.stdout)[theme]
+    [palette] = module("draw", f"made.push(draw.{theme.upper()})")
     texts = [(text, ground) for text in ("ink", "weak", "place", "track") for ground in ("back", "water")]
     texts += [("fence", "back"), ("fence", "water"), ("ink", "above"), ("ink", "below")]
     lines = set(palette) - {"back", "water", "margin", "tube", "pillar", "nose", "grid", "above", "below"}

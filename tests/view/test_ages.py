@@ -1,18 +1,16 @@
-"""What the page shows is of now, or grey with its age: its own code in node, on what a process has sent."""
+"""What the page shows is of now, or grey with its age: on what a process has sent."""
 
 import copy
 import re
-import shutil
 from typing import Any
 
 import pytest
-from test_page import page
+from browser_module import needs_browser
+from scripted_page import page
 from viewers import Stream, run
 
 from autopilot.core.vehicle import load_vehicle, vehicle_names
 from autopilot.view.ages import LEAST_S, MISSED, age_limits, sensor_limits_s
-
-needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
 
 Event = dict[str, Any]
 LIVE = {
@@ -102,7 +100,7 @@ def changed(heard: dict[str, Event], part: str, **fields: Any) -> dict[str, Any]
     return {part: heard["frame"]["data"][part] | fields}
 
 
-@needs_node
+@needs_browser
 @pytest.mark.parametrize("speed", [0.05, 0.25, 1.0, 8.0, 20.0])
 def test_nothing_is_grey_while_all_comes_at_any_speed(seen: Page, speed: float) -> None:
     for moment in range(6):
@@ -115,7 +113,7 @@ def test_nothing_is_grey_while_all_comes_at_any_speed(seen: Page, speed: float) 
         assert note["words"]["frameage"] == "0.0 s" and note["words"]["link"] == ""
 
 
-@needs_node
+@needs_browser
 @pytest.mark.parametrize("speed", [0.25, 1.0, 8.0])
 def test_a_picture_of_before_a_blackout_is_grey_and_says_how_old_it_is(seen: Page, speed: float) -> None:
     seen.runs(1.0, speed=speed)
@@ -134,7 +132,7 @@ def test_a_picture_of_before_a_blackout_is_grey_and_says_how_old_it_is(seen: Pag
     assert notes["dark"]["words"]["cameraage"] == f"{told[1]} s old"
 
 
-@needs_node
+@needs_browser
 @pytest.mark.parametrize("state", [0, 1, 2])
 def test_when_the_process_is_gone_everything_is_grey_with_its_age(seen: Page, state: int) -> None:
     """0: the browser tries again; 1: killed behind a tunnel, or stopped, the stream stays open; 2: it has given up."""
@@ -154,7 +152,7 @@ def test_when_the_process_is_gone_everything_is_grey_with_its_age(seen: Page, st
     assert (len(made["streams"]) > 1) is (state == 2), "what the browser gives up is asked for anew"
 
 
-@needs_node
+@needs_browser
 def test_a_stream_that_says_nothing_for_long_is_opened_anew(seen: Page) -> None:
     seen.runs(1.0)
     for _ in range(20):
@@ -163,7 +161,7 @@ def test_a_stream_that_says_nothing_for_long_is_opened_anew(seen: Page) -> None:
     assert len(made["streams"]) == 2 and set(made["stale"]) >= LIVE
 
 
-@needs_node
+@needs_browser
 def test_a_pause_ages_nothing_and_a_loop_that_hangs_everything(seen: Page) -> None:
     seen.runs(1.0)
     for held in range(20):
@@ -182,7 +180,7 @@ def test_a_pause_ages_nothing_and_a_loop_that_hangs_everything(seen: Page) -> No
     assert notes["hangs"]["words"]["stateage"] == "4.0 s old"
 
 
-@needs_node
+@needs_browser
 def test_what_comes_late_is_as_old_as_it_is(seen: Page) -> None:
     """A thin line behind a tunnel: frames come as often, but each later than the one before."""
     seen.runs(1.0)
@@ -195,7 +193,7 @@ def test_what_comes_late_is_as_old_as_it_is(seen: Page) -> None:
     assert "the connection is slow" in late["words"]["link"]
 
 
-@needs_node
+@needs_browser
 def test_a_tab_that_slept_shows_nothing_of_what_lay_in_its_buffers(seen: Page) -> None:
     seen.runs(1.0)
     old = copy.deepcopy(seen.lines[-1])
@@ -208,7 +206,7 @@ def test_a_tab_that_slept_shows_nothing_of_what_lay_in_its_buffers(seen: Page) -
     assert set(woken["stale"]) >= LIVE and woken["words"]["frameage"] == "10 min old"
 
 
-@needs_node
+@needs_browser
 def test_each_group_goes_grey_by_its_own_limit(seen: Page, heard: dict[str, Event]) -> None:
     limits = heard["scene"]["data"]["ages"]
     for name, part, limit_s in (("state", "estimate", limits["estimate_s"]), ("row", "battery", limits["battery_s"])):
@@ -230,7 +228,7 @@ def test_each_group_goes_grey_by_its_own_limit(seen: Page, heard: dict[str, Even
     assert notes["none"]["words"]["stateage"] == "no estimate"
 
 
-@needs_node
+@needs_browser
 def test_a_device_that_is_silent_is_named_for_as_long_as_it_is(seen: Page, heard: dict[str, Event]) -> None:
     devices = heard["frame"]["data"]["devices"]
     assert {"ahrs", "camera", "battery"} <= {device["name"] for device in devices}
@@ -243,7 +241,7 @@ def test_a_device_that_is_silent_is_named_for_as_long_as_it_is(seen: Page, heard
         assert f"{name} device silent" in words and words.count("device silent") == 1 and "15 min" in words
 
 
-@needs_node
+@needs_browser
 def test_after_a_restart_the_page_is_of_the_new_process(seen: Page) -> None:
     """Same page, same port: until its first frame all is grey, what was seen is forgotten, controls go to it."""
     seen.runs(1.0)
@@ -262,7 +260,7 @@ def test_after_a_restart_the_page_is_of_the_new_process(seen: Page) -> None:
     assert "token" not in first and second["token"] == "another"
 
 
-@needs_node
+@needs_browser
 def test_a_refused_token_is_asked_for_anew_and_another_page_is_loaded(seen: Page) -> None:
     seen.runs(0.5)
     seen.lines += [{"refuse": 403}, {"event": "click", "name": "pause", "data": {}}, {"note": "refused"}]

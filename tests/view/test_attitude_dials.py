@@ -3,30 +3,20 @@
 import copy
 import json
 import math
-import shutil
-import subprocess
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import pytest
 from browser_module import browser, needs_browser
-from test_page import events, page  # noqa: F401 - the fixture
+from scripted_page import module, page
 
 from autopilot.view.http_server import ViewServer
 
-ATTITUDE = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "attitude.js").as_uri()
-needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+pytestmark = needs_browser
+made = partial(module, "attitude")
 
 
-def made(code: str) -> Any:
-    """What this code, with all of attitude.js, makes."""
-    program = f'import * as attitude from "{ATTITUDE}"; const made = []; {code}; console.log(JSON.stringify(made));'
-    done = subprocess.run(["node", "--input-type=module", "-e", program], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
-
-
-@needs_node
 @pytest.mark.parametrize("roll", [-0.4, 0.0, 0.25])
 @pytest.mark.parametrize("pitch", [-0.2, 0.0, 0.3])
 def test_the_horizon_is_where_a_camera_in_the_nose_sees_it(roll: float, pitch: float) -> None:
@@ -41,7 +31,6 @@ def test_the_horizon_is_where_a_camera_in_the_nose_sees_it(roll: float, pitch: f
         assert (x, y) == pytest.approx((seen_right, seen_down), abs=1e-12)
 
 
-@needs_node
 def test_bearings_of_goal_route_and_current() -> None:
     frame = {
         "estimate": {"pos_ned_m": [1, 2, 0.5], "rpy_rad": [0.1, -0.2, -1.0], "current_ned_m_s": [0, -0.12, 0]},
@@ -66,8 +55,7 @@ def test_bearings_of_goal_route_and_current() -> None:
     assert made("made.push(attitude.bearingText(-1e-4), attitude.bearingText(2 * Math.PI))") == ["000°", "000°"]
 
 
-@needs_node
-def test_the_page_shows_them_and_how_old_they_are(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_the_page_shows_them_and_how_old_they_are(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     frame["data"]["estimate"]["rpy_rad"] = [0.1, -0.2, math.pi / 2]
     fresh = page([scene, frame])
@@ -116,7 +104,6 @@ PAINTED = """(async () => {
 })()"""
 
 
-@needs_browser
 @pytest.mark.parametrize(
     ("rpy_rad", "horizon"),
     [

@@ -4,18 +4,15 @@ import copy
 import json
 import math
 import re
-import shutil
-import subprocess
-from pathlib import Path
 from typing import Any
 
 import pytest
-from test_page import events, page  # noqa: F401 - the fixture
+from browser_module import needs_browser
+from scripted_page import module, page
 
-MARGINS = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "margins.js").as_uri()
 INK, FENCE = "#1b2733", "#c4262e"
 
-pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+pytestmark = needs_browser
 
 
 def drawn(scene: Any, frame: Any, *asked: Any) -> dict[str, list[str]]:
@@ -25,19 +22,19 @@ def drawn(scene: Any, frame: Any, *asked: Any) -> dict[str, list[str]]:
     return {color: [words for kind, words in texts if kind == color] for color in (INK, FENCE)}
 
 
-def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     frame["data"]["tracks"] = []
     radius, control = scene["data"]["body_radius_m"], frame["data"]["control"]
     free_m = frame["data"]["clearance_m"] - radius
     told = drawn(scene, frame)
     assert told[INK][0] == f"{free_m:.2f} m"
-    code = f"""import {{ dimensions, nearestFence }} from "{MARGINS}";
-        const scene = {json.dumps(scene["data"])}, frame = {json.dumps(frame["data"])};
-        const gaps = frame.control.horizon_ned_m.map((place) => nearestFence(scene.fence, place).gap_m);
-        console.log(JSON.stringify([dimensions(scene, frame), gaps]));"""
-    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
-    (now, ahead), gaps = json.loads(done.stdout)
+    (now, ahead), gaps = module(
+        "margins",
+        f"""const scene = {json.dumps(scene["data"])}, frame = {json.dumps(frame["data"])};
+        const gaps = frame.control.horizon_ned_m.map((place) => margins.nearestFence(scene.fence, place).gap_m);
+        made.push(margins.dimensions(scene, frame), gaps);""",
+    )
     place = frame["data"]["estimate"]["pos_ned_m"]
     assert now["free_m"] == pytest.approx(free_m, abs=2e-3), "circles are polygons on the page"
     assert math.dist(now["point"], place[:2]) == pytest.approx(now["free_m"] + radius)
@@ -47,7 +44,7 @@ def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[s
 
 
 def test_the_prediction_is_told_where_it_is_nearest_unless_that_covers_the_figure_of_now(
-    events: list[dict[str, Any]],  # noqa: F811
+    events: list[dict[str, Any]],
 ) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     radius, control = scene["data"]["body_radius_m"], frame["data"]["control"]
@@ -57,7 +54,7 @@ def test_the_prediction_is_told_where_it_is_nearest_unless_that_covers_the_figur
     assert len(drawn(scene, frame)[INK]) == 1
 
 
-def test_a_nearer_reported_obstacle_is_told_instead_and_an_old_one_is_not(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_a_nearer_reported_obstacle_is_told_instead_and_an_old_one_is_not(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     north, east, _ = frame["data"]["estimate"]["pos_ned_m"]
     radius = scene["data"]["body_radius_m"]
@@ -71,7 +68,7 @@ def test_a_nearer_reported_obstacle_is_told_instead_and_an_old_one_is_not(events
     assert drawn(scene, frame)[INK][0] == f"{frame['data']['clearance_m'] - radius:.2f} m"
 
 
-def test_distances_can_be_switched_off_and_give_way_far_from_above(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_distances_can_be_switched_off_and_give_way_far_from_above(events: list[dict[str, Any]]) -> None:
     scene, frame = copy.deepcopy(next(event for event in events if event["name"] == "scene")), copy.deepcopy(events[-1])
     nothing: dict[str, list[str]] = {INK: [], FENCE: []}
     assert drawn(scene, frame) != nothing

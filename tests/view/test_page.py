@@ -1,15 +1,13 @@
-"""The page's own code, run by node with a stand-in for the browser, on what a process sends."""
+"""The page on what a process sends."""
 
 import copy
-import json
 import math
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
-from viewers import Stream, run
+from browser_module import needs_browser
+from scripted_page import module, page
 
 from autopilot.core.messages import Failsafe
 from autopilot.view.http_server import PAGES, POLICY
@@ -17,41 +15,8 @@ from autopilot.view.http_server import PAGES, POLICY
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "autopilot" / "data" / "view"
 
-needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
 
-
-@pytest.fixture(scope="module")
-def events(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """What a viewer of a flight hears, until the controller flies."""
-    with run(tmp_path_factory.mktemp("page"), "paper-tank", "--start", "--sensors", "pose") as made:
-        stream, heard = Stream(made.port), []
-        for name, data in stream.events():
-            heard.append({"name": name, "data": data})
-            if (
-                name == "frame"
-                and data["control"]
-                and data["goal"]
-                and len(data["control"]["tube_m"])
-                and data["t_s"] > 6
-            ):
-                break
-        made.end()
-        return heard
-
-
-def page(
-    heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light", *options: str
-) -> dict[str, Any]:
-    """What the page makes of it."""
-    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme, *options]
-    text = "\n".join(json.dumps(event) for event in heard)
-    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
-    made: dict[str, Any] = json.loads(done.stdout)
-    assert made["errors"] == []
-    return made
-
-
-@needs_node
+@needs_browser
 @pytest.mark.parametrize(("width", "height", "theme"), [(700, 600, "light"), (360, 500, "dark")])
 def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int, height: int, theme: str) -> None:
     made = page(events, width, height, theme)
@@ -81,8 +46,7 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
 
 
 PLANS = """
-import { extent, flowScale, planView } from "%s";
-const made = [];
+const { extent, flowScale, planView } = plan;
 for (const [width, height] of [[720, 440], [360, 500], [500, 500], [900, 300]]) {
   for (const [north, east, speed] of [[5, 3, 0.25], [3, 5, 0.004], [12, 6, 0.021], [400, 120, 0.7], [4, 4, 1.9]]) {
     const tank_m = [[0, 0], [north, 0], [north, east], [0, east]], scene = { tank_m, places: [], fence: [] };
@@ -92,16 +56,13 @@ for (const [width, height] of [[720, 440], [360, 500], [500, 500], [900, 300]]) 
     made.push({ height, top: Math.min(...ys), bottom: Math.max(...ys), speed, told, share, still });
   }
 }
-console.log(JSON.stringify(made));
 """
 
 
-@needs_node
+@needs_browser
 def test_the_plan_leaves_room_for_its_margins_and_shows_every_current() -> None:
     """North, scale and key stand in strips that no wall reaches; arrows are to scale with the field."""
-    code = PLANS % (PAGE / "plan.js").as_uri()
-    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
-    made = json.loads(done.stdout)
+    made = module("plan", PLANS)
     assert len(made) == 20
     for plan in made:
         assert plan["top"] >= 26 and plan["bottom"] <= plan["height"] - 26
@@ -111,7 +72,7 @@ def test_the_plan_leaves_room_for_its_margins_and_shows_every_current() -> None:
             assert 0.06 <= plan["share"] <= 0.25, "neither a dot nor across the plan"
 
 
-@needs_node
+@needs_browser
 def test_nothing_has_no_sign(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     frame["data"]["estimate"]["pos_ned_m"] = [-0.004, -0.006, 0.3]
@@ -122,7 +83,7 @@ def test_nothing_has_no_sign(events: list[dict[str, Any]]) -> None:
     assert facts["Roll, pitch, yaw"] == "0.0°, 0.0°, 0.0°"
 
 
-@needs_node
+@needs_browser
 def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
     """A prediction of before the estimate was lost, a sensor that no longer measures."""
     scene = next(event for event in events if event["name"] == "scene")
@@ -140,7 +101,7 @@ def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
     assert f"{silent['name']} silent" in made["words"]["sensors"] and "silent" not in fresh["words"]["sensors"]
 
 
-@needs_node
+@needs_browser
 def test_the_page_bears_what_is_missing(events: list[dict[str, Any]]) -> None:
     bare = copy.deepcopy(events[-1])
     for name in ("estimate", "truth", "goal", "progress", "control", "battery", "loop", "clearance_m"):
@@ -161,7 +122,7 @@ def test_the_page_bears_what_is_missing(events: list[dict[str, Any]]) -> None:
     assert made["words"]["alarms"].startswith("Failsafe: ") and "leak" in made["words"]["alarms"]
 
 
-@needs_node
+@needs_browser
 def test_what_a_person_does_is_asked_for(events: list[dict[str, Any]]) -> None:
     frame = copy.deepcopy(events[-1])
     solid = frame["data"]["solids"][0]

@@ -1,29 +1,21 @@
-"""The plan's zoom, grid, arrows and fit: the page's own geometry in node."""
+"""The plan's zoom, grid, arrows and fit: by the page's own geometry."""
 
 import copy
 import json
 import math
 import re
-import shutil
-import subprocess
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import pytest
-from test_page import events, page  # noqa: F401 - the fixture
+from browser_module import needs_browser
+from scripted_page import module, page
 
-PLAN = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "plan.js").as_uri()
 SCALES = [10 ** (k / 7 - 1.5) for k in range(32)]
 """Pixels per metre: from kilometres across to millimetres."""
 
-pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
-
-
-def geometry(code: str) -> Any:
-    """What this code, with all of plan.js, makes."""
-    program = f'import * as plan from "{PLAN}"; const made = []; {code}; console.log(JSON.stringify(made));'
-    done = subprocess.run(["node", "--input-type=module", "-e", program], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+pytestmark = needs_browser
+geometry = partial(module, "plan")
 
 
 SIZES = "for (const all of [{n0: 0, n1: 5, e0: 0, e1: 3}, {n0: -180, n1: 180, e0: -20, e1: 20}])"
@@ -158,7 +150,7 @@ def key(name: str, target: str = "plan") -> dict[str, Any]:
     return {"event": "keydown", "name": target, "data": {"key": name}}
 
 
-def test_the_keys_and_buttons_of_the_plan(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_the_keys_and_buttons_of_the_plan(events: list[dict[str, Any]]) -> None:
     """Zoomed in there is a mini-map, and the wall is outside; fit shows the wall whole again."""
     scene, frame = next(event for event in events if event["name"] == "scene"), events[-1]
     wall = "#33414e"
@@ -182,7 +174,7 @@ def test_the_keys_and_buttons_of_the_plan(events: list[dict[str, Any]]) -> None:
     assert extent_px(key("+"), key("-"))[0] == pytest.approx(whole)
 
 
-def test_two_fingers_zoom_and_a_drag_pans(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_two_fingers_zoom_and_a_drag_pans(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     frame["data"]["solids"] = []
 
@@ -202,7 +194,7 @@ def test_two_fingers_zoom_and_a_drag_pans(events: list[dict[str, Any]]) -> None:
     assert same == width and [dragged[0] - start[0], dragged[1] - start[1]] == pytest.approx([40, -10], abs=0.2)
 
 
-def test_a_followed_vehicle_moves_the_plan_unless_motion_is_unwelcome(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_a_followed_vehicle_moves_the_plan_unless_motion_is_unwelcome(events: list[dict[str, Any]]) -> None:
     scene, frame = next(event for event in events if event["name"] == "scene"), events[-1]
     ahead = copy.deepcopy(frame)
     ahead["data"]["estimate"]["pos_ned_m"][0] += 0.3
@@ -216,7 +208,7 @@ def test_a_followed_vehicle_moves_the_plan_unless_motion_is_unwelcome(events: li
     assert wall(frame, "calm") == wall(ahead, "calm")
 
 
-def test_an_open_water_of_360_m_shows_a_vehicle_and_few_arrows(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_an_open_water_of_360_m_shows_a_vehicle_and_few_arrows(events: list[dict[str, Any]]) -> None:
     scene, frame = copy.deepcopy(next(event for event in events if event["name"] == "scene")), copy.deepcopy(events[-1])
     scene["data"] |= {"tank_m": [], "fence": []}
     scene["data"]["places"] = [scene["data"]["places"][0] | {"pos_ned_m": [n, 0, 1]} for n in (-180, 180)]
@@ -237,7 +229,7 @@ def test_an_open_water_of_360_m_shows_a_vehicle_and_few_arrows(events: list[dict
     assert size(sides[1]) > 10 * size(sides[0]), "the side view goes with the plan"
 
 
-def test_everything_is_shown_at_first(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_everything_is_shown_at_first(events: list[dict[str, Any]]) -> None:
     """A goal outside of walls and waypoints too."""
     scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
     frame["data"]["goal"] |= {"pos_ned_m": [40.0, -25.0, 1.0]}
@@ -251,7 +243,7 @@ def test_everything_is_shown_at_first(events: list[dict[str, Any]]) -> None:  # 
     assert all(0 <= x <= 700 and 26 <= y <= 404 for x, y in made)
 
 
-def test_speed_reached_and_asked(events: list[dict[str, Any]]) -> None:  # noqa: F811
+def test_speed_reached_and_asked(events: list[dict[str, Any]]) -> None:
     """Of the vehicle over ground, and of a simulation that cannot keep up."""
     scene, last = next(event for event in events if event["name"] == "scene"), events[-1]
     sent = [copy.deepcopy(last) for _ in range(40)]

@@ -1,9 +1,9 @@
 """``autopilot log view``: a log in the page of the live view, by its process and in a browser."""
 
 import json
+import math
 import os
 import re
-import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -12,17 +12,17 @@ from typing import Any
 
 import msgspec
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from click.testing import CliRunner
-from viewers import PATIENCE_S, get, post
+from scripted_page import module
+from viewers import PATIENCE_S, Stream, get, post, run
 
 from autopilot.cli.log import log as log_command
 from autopilot.log.reader import open_log
 from autopilot.run.children import autopilot_command, free_port
-from autopilot.view.page_state import LogFramesView, LogView, PictureView
+from autopilot.view.page_state import FlowView, LogFramesView, LogView, PictureView
 from tests.log.log_synthetic import Run, write_run
 
-needs_browser = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 ARROW, SPACE, HOME, END = ("ArrowRight", 39), (" ", 32), ("Home", 36), ("End", 35)
 
 
@@ -136,9 +136,63 @@ def test_a_log_that_was_cut_off_is_played_as_far_as_it_goes(flown: Path, tmp_pat
     assert made.end() == 0
 
 
+@pytest.fixture(scope="module")
+def dragged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of a flight in which an obstacle was dragged, and a current added."""
+    folder = tmp_path_factory.mktemp("dragged")
+    log = folder / "run.mcap"
+    with run(folder, "paper-tank", "--start", "--sensors", "pose", "--log", str(log)) as made:
+        stream = Stream(made.port)
+        stream.until("frame", lambda frame: frame["t_s"] > 2)
+        assert post(made.port, {"do": "obstacle", "number": 1, "north_m": 0.9, "east_m": -0.456})[0] == 200
+        assert post(made.port, {"do": "current", "north_m_s": 0.1, "east_m_s": -0.05})[0] == 200
+        begin_s = stream.until("frame", lambda frame: frame["extra_current_ned_m_s"] == [0.1, -0.05])["t_s"]
+        stream.until("frame", lambda frame: frame["t_s"] > begin_s + 2)
+        stream.close()
+        made.end()
+    return log
+
+
+def test_a_log_has_what_was_dragged_and_the_field_of_the_current(dragged: Path, tmp_path: Path) -> None:
+    opened = open_log(dragged)
+    truth = opened["/sim/truth"]
+    messages = [(one.t_us, one.value["msg"]) for one in opened.messages("/rosout")]
+    changed_us = max(t_us for t_us, text in messages if text.startswith("View: "))
+    made = Player(dragged, tmp_path)
+    still = msgspec.json.decode(get(made.port, "/flow?t=0")[2], type=FlowView)
+    places = []
+    for t_us, added in ((1_000_000, 0.0), (changed_us + 1_000_000, 0.1)):
+        path = f"/frames?from={1e-6 * t_us}&to={1e-6 * t_us}&step=1"
+        [frame] = msgspec.json.decode(get(made.port, path)[2], type=LogFramesView).frames
+        places.append(frame.solids[0].center_m)
+        flow = msgspec.json.decode(get(made.port, f"/flow?t={1e-6 * t_us}")[2], type=FlowView)
+        assert len(flow.arrows) > 50 and flow.t_s == pytest.approx(1e-6 * t_us)
+        for arrow, before in zip(flow.arrows, still.arrows, strict=True):
+            assert arrow[2] - before[2] == pytest.approx(added, abs=2e-4)
+        # The nearest arrow is the current that the vehicle is in, but for how that differs from arrow to arrow.
+        row = truth[truth["t_us"] <= t_us][-1]
+        nearest = min(flow.arrows, key=lambda arrow: math.dist(arrow[:2], row["pos_ned_m"][:2]))
+        assert nearest[2:] == pytest.approx(row["current_ned_m_s"][:2], abs=0.05)
+    assert places[1] == (0.9, -0.46) != places[0]
+    assert made.end() == 0
+
+
 # In a browser
 
 CLOCK = "parseFloat(document.getElementById('clock')?.textContent)"
+
+
+FLOWING = """(() => {
+    const plan = document.getElementById("plan"), [width, height] = [plan.width, plan.height];
+    const copy = Object.assign(document.createElement("canvas"), { width, height });
+    const ctx = copy.getContext("2d", { willReadFrequently: true });
+    ctx.drawImage(plan, 0, 0);
+    const data = ctx.getImageData(0, 0, width, height).data;
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) count += data[i] === 86 && data[i + 1] === 137 && data[i + 2] === 171;
+    return count;
+})()"""
+"""Pixels of the plan in the colour of the current."""
 
 
 def press(tab: Any, key: tuple[str, int], shift: bool = False) -> None:
@@ -291,29 +345,38 @@ def test_a_log_without_truth_and_pictures(tmp_path: Path, dark: bool) -> None:
     assert made.end() == 0
 
 
-# In node
-
-HISTORY = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "history.js").as_uri()
-
-
-@pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+@needs_browser
 def test_ten_minutes_are_kept_and_no_more() -> None:
     """At ten frames a second; each moment is that frame with its messages; a run that begins anew has no past."""
-    code = f"""import {{ History, KEPT }} from "{HISTORY}";
-    const history = new History(), scene = {{ name: 1 }};
-    const frame = (k) => ({{ scene: 1, t_s: k / 10, truth: null, control: null, thrust_n: [k, -k],
-        messages: k % 100 ? [] : [{{ number: k / 100 + 1, t_s: k / 10, text: `at ${{k}}` }}],
-        estimate: {{ health: "GOOD", pos_ned_m: [k / 100, 0, 1], rpy_rad: [0, 0, -1],
-            vel_water_frd_m_s: [3, 4, 0], sigma_pos_m: [0, 0, 0] }} }});
-    for (let k = 0; k < 20000; k += 1) history.add(frame(k), scene);
-    const {{ frame: old, trail }} = history.moment(1950.04);
-    const made = [KEPT, history.count, history.frames.length, history.end - history.begin];
-    made.push(old.t_s, old.messages.at(-1).text, trail.length, trail.at(-1)[0]);
-    made.push(history.columns.heading[0], history.columns.speed[0], history.moment(0).frame.t_s === history.begin);
-    history.add(frame(3), scene);
-    console.log(JSON.stringify([...made, history.count, history.begin]));"""
-    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
-    kept, count, frames, span, t_s, text, points, north, heading, speed, first, after, begin = json.loads(done.stdout)
+    kept, count, frames, span, t_s, text, points, north, heading, speed, first, after, begin = module(
+        "history",
+        """const { History, KEPT } = history, all = new History(), scene = { name: 1 };
+        const frame = (k) => ({ scene: 1, t_s: k / 10, truth: null, control: null, thrust_n: [k, -k],
+            messages: k % 100 ? [] : [{ number: k / 100 + 1, t_s: k / 10, text: `at ${k}` }],
+            estimate: { health: "GOOD", pos_ned_m: [k / 100, 0, 1], rpy_rad: [0, 0, -1],
+                vel_water_frd_m_s: [3, 4, 0], sigma_pos_m: [0, 0, 0] } });
+        for (let k = 0; k < 20000; k += 1) all.add(frame(k), scene);
+        const { frame: old, trail } = all.moment(1950.04);
+        made.push(KEPT, all.count, all.frames.length, all.end - all.begin);
+        made.push(old.t_s, old.messages.at(-1).text, trail.length, trail.at(-1)[0]);
+        made.push(all.columns.heading[0], all.columns.speed[0], all.moment(0).frame.t_s === all.begin);
+        all.add(frame(3), scene);
+        made.push(all.count, all.begin);""",
+    )
     assert kept <= count == frames <= 1.25 * kept and 600 - 0.2 <= span <= 750
-    assert (t_s, text, after, begin) == (1950, "at 19500", 1, 0.3) and points == 1500 and north == 195
+    assert (
+        (t_s, text, after, begin) == (1950, "at 19500", 1, 0.3)
+        and points == 1500
+        and north == pytest.approx(195, abs=0.02)
+    )
     assert heading == pytest.approx(302.7, abs=0.1) and speed == 5 and first
+
+
+@needs_browser
+def test_the_plan_of_a_log_shows_the_current(dragged: Path, tmp_path: Path) -> None:
+    made = Player(dragged, tmp_path)
+    with browser.page(browser.found()) as tab:
+        opened(tab, made, "#t=3")
+        tab.wait(f"{FLOWING} > 200")
+        assert tab.errors == []
+    assert made.end() == 0

@@ -24,7 +24,8 @@ export class Link {
 
 // How fast the vehicle's time has gone lately in real time, null while that is not known.
 export class Pace {
-  constructor() { this.frames = []; }
+  constructor() { this.clear(); }
+  clear() { this.frames = []; }
   take(frame) {
     const last = this.frames[this.frames.length - 1];
     if (frame.paused || (last && (frame.t_s < last.t_s || frame.speed !== last.speed))) this.frames = [];

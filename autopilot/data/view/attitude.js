@@ -1,6 +1,6 @@
 // Artificial horizon and compass. Nothing here knows the page: a context, a size, figures and colours go in.
 // Attitude is that of FRD axes: roll positive with the right side down, pitch positive with the nose up.
-import { arrow, circle, fill, hull, path, stroke, text } from "./ink.js";
+import { arrow, circle, clear, fill, hull, number, stroke, text } from "./ink.js";
 
 const SPAN_RAD = 0.6; // from the middle of the horizon to its rim
 const LADDER_DEG = [-30, -20, -10, 10, 20, 30];
@@ -13,7 +13,6 @@ const bearing = ([n, e], [n1, e1]) => Math.atan2(e1 - e, n1 - n);
 
 // A bearing in three digits, as on a compass.
 export const bearingText = (angle) => `${String((Math.round((angle * 180) / Math.PI) + 720) % 360).padStart(3, "0")}°`;
-const figure = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1");
 
 // What both show; null without an attitude. Without a place that of the AHRS.
 export function attitudeOf({ estimate, measured, goal, control }) {
@@ -36,12 +35,12 @@ export function attitudeOf({ estimate, measured, goal, control }) {
 // Lines of words with the colour and the mark (as of a legend) that the dials show them by.
 export function attitudeWords(facts) {
   if (!facts) return { horizon: [["no estimate"]], compass: [["no estimate"]] };
-  const turn = (angle) => `${figure((angle * 180) / Math.PI, 1)}°`, { goal, route, current } = facts;
+  const turn = (angle) => `${number((angle * 180) / Math.PI, 1)}°`, { goal, route, current } = facts;
   const compass = [[`heading ${bearingText(facts.heading)}`, "body", "line"]];
-  if (goal) compass.push([`goal ${goal.bearing === null ? "" : `${bearingText(goal.bearing)}, `}${figure(goal.distance_m, 2)} m`, "goal", "line"]);
+  if (goal) compass.push([`goal ${goal.bearing === null ? "" : `${bearingText(goal.bearing)}, `}${number(goal.distance_m, 2)} m`, "goal", "line"]);
   if (route !== null) compass.push([`route ${bearingText(route)}`, "route", "dotted"]);
   const speed = current && current.speed_m_s;
-  if (current) compass.push([`current ${speed < STILL_M_S ? "" : `to ${bearingText(current.bearing)}, `}${figure(speed, 2)} m/s`, "felt", "line"]);
+  if (current) compass.push([`current ${speed < STILL_M_S ? "" : `to ${bearingText(current.bearing)}, `}${number(speed, 2)} m/s`, "felt", "line"]);
   return { horizon: [[`roll ${turn(facts.roll)}`], [`pitch ${turn(facts.pitch)}`]], compass };
 }
 
@@ -60,7 +59,8 @@ export function drawHorizon(ctx, width, height, facts, colors) {
   if (!facts) return;
   const at = seenAt(facts, middle, reach), far = 4 + Math.abs(facts.pitch);
   ctx.save();
-  disc(ctx, middle, reach);
+  ctx.beginPath();
+  ctx.arc(...middle, reach, 0, 2 * Math.PI);
   ctx.clip();
   fill(ctx, [[-far, 0], [far, 0], [far, 2 * far], [-far, 2 * far]].map(at), colors.above);
   fill(ctx, [[-far, 0], [far, 0], [far, -2 * far], [-far, -2 * far]].map(at), colors.below);
@@ -97,13 +97,4 @@ export function drawCompass(ctx, width, height, facts, colors) {
   stroke(ctx, shape, colors.body, 1.5, true);
   if (goal && goal.bearing !== null) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
   if (current && current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
-}
-
-function clear(ctx, width, height, colors) {
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
-}
-
-function disc(ctx, [x, y], radius) {
-  path(ctx, Array.from({ length: 72 }, (_, k) => [x + radius * Math.cos(rad(5 * k)), y + radius * Math.sin(rad(5 * k))]), true);
 }

@@ -1,7 +1,7 @@
 // Drawing on 2D contexts. Nothing here knows the page: a context, a size, the data and colours go in.
 // World: north up, east to the right in the plan; east to the right, depth down in the side view.
 import { ageText } from "./ages.js";
-import { arrow, circle, fill, hull, path, stroke, text } from "./ink.js";
+import { arrow, circle, clear, fill, hull, path, stroke, text, tubeEdges } from "./ink.js";
 import { drawDimensions } from "./margins.js";
 import { STRIP, extent, floorDepth, flowArrows, flowScale, gridStep, planView } from "./plan.js";
 
@@ -48,16 +48,7 @@ function fillTube(ctx, points, radii, color) {
 // The same with its two edges, which can be told from the ground.
 function drawTube(ctx, points, radii, colors) {
   fillTube(ctx, points, radii, colors.tube);
-  const edges = [[], []];
-  points.forEach(([x, y], index) => {
-    const [x0, y0] = points[Math.max(index - 1, 0)], [x1, y1] = points[Math.min(index + 1, points.length - 1)];
-    const length = Math.hypot(x1 - x0, y1 - y0), r = radii[index];
-    if (length < 0.5) return;
-    const [u, v] = [(r * (y1 - y0)) / length, (r * (x0 - x1)) / length];
-    edges[0].push([x + u, y + v]);
-    edges[1].push([x - u, y - v]);
-  });
-  for (const edge of edges) stroke(ctx, edge, colors.horizon, 0.8);
+  for (const edge of tubeEdges(points, radii, 0.5)) stroke(ctx, edge, colors.horizon, 0.8);
 }
 
 // North in the strip above the plan; in that below the key of the current and the scale, which is one square of the grid.
@@ -108,8 +99,7 @@ export const faded = (colors) => ({ ...colors, body: colors.weak, nose: colors.w
 export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld, camera, margins: dimensioned }, colors) {
   const view = planView(width, height, extent(scene, frame), camera), { at, scale } = view;
   const { told, reach: whole } = flowScale(flow, view.all), reach = (whole * view.fit) / scale; // as long at any zoom
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
+  clear(ctx, width, height, colors);
   ctx.save();
   path(ctx, [[0, STRIP], [width, STRIP], [width, height - STRIP], [0, height - STRIP]], true);
   ctx.clip();
@@ -201,8 +191,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera
   if (camera) [a0, a1] = [middle - width / 2 / scale, middle + width / 2 / scale];
   const at = (p) => [width / 2 + (p[axis] - middle) * scale, top + p[2] * scale];
   const flat = (along, z) => [width / 2 + (along - middle) * scale, top + z * scale];
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
+  clear(ctx, width, height, colors);
   fill(ctx, [flat(a0, 0), flat(a1, 0), flat(a1, floor), flat(a0, floor)], colors.water);
   stroke(ctx, [flat(a0, 0), flat(a1, 0)], colors.flow, 2);
   if (scene.tank_m.length) {
@@ -255,8 +244,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera
 
 // `old`: how old it is in words, "" while it is of now. What was found in an old picture is not there any more.
 export function drawPicture(ctx, width, height, picture, image, old, colors) {
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
+  clear(ctx, width, height, colors);
   if (!picture) { text(ctx, "no picture", width / 2, height / 2, colors.weak, "center"); return; }
   const found = old ? [DARK.weak, DARK.weak] : ["#27d07d", "#ff4d4d"];
   const scale = Math.min(width / picture.width_px, height / picture.height_px);
@@ -284,8 +272,7 @@ export function drawPicture(ctx, width, height, picture, image, old, colors) {
 const RIM = 0.36;
 export function drawFlow(ctx, width, height, flow, turned, colors) {
   const middle = [width / 2, height / 2], reach = RIM * Math.min(width, height);
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
+  clear(ctx, width, height, colors);
   circle(ctx, middle, reach, colors.weak, 1);
   circle(ctx, middle, reach / 2, colors.weak, 1, false, [2, 3]);
   text(ctx, "N", turned ? width - 7 : middle[0], turned ? middle[1] : 7, colors.weak, "center");

@@ -1,4 +1,5 @@
 // What was shown in the last minutes: frames to go back to, and strip charts of them. Nothing here knows the page.
+import { clear, number, stroke, text } from "./ink.js";
 
 export const KEPT = 6000; // frames: ten minutes of ten a second
 const SPARE = KEPT / 4; // beyond that the oldest are dropped at once
@@ -46,7 +47,7 @@ export class History {
 
   clear() {
     this.columns = Object.fromEntries(COLUMNS.map((name) => [name, new Float64Array(KEPT + SPARE)]));
-    Object.assign(this, { count: 0, frames: [], messages: [], scenes: new Map(), flows: [], pictures: [], before: [] });
+    Object.assign(this, { count: 0, frames: [], messages: [], scenes: new Map(), flows: [], pictures: [], before: [], passed: [], passed_s: [] });
   }
 
   get begin() { return this.count ? this.columns.t[0] : 0; }
@@ -64,6 +65,7 @@ export class History {
     values(frame).forEach((value, place) => { this.columns[COLUMNS[place]][this.count] = value; });
     this.count += 1;
     if (!this.whole) return;
+    if (frame.estimate && frame.estimate.health !== "INVALID") this.pass(frame.t_s, frame.estimate.pos_ned_m);
     this.frames.push(JSON.stringify({ ...frame, messages: [] }));
     if (!this.scenes.has(frame.scene)) {
       this.scenes.set(frame.scene, scene);
@@ -76,6 +78,8 @@ export class History {
     for (const column of Object.values(this.columns)) column.copyWithin(0, SPARE);
     this.frames.splice(0, SPARE);
     this.count -= SPARE;
+    const gone = above(this.passed_s, this.passed_s.length, this.begin);
+    for (const list of [this.passed, this.passed_s]) list.splice(0, gone);
   }
 
   // Of things that come more seldom than frames: one for each second.
@@ -93,18 +97,21 @@ export class History {
     const last = (list) => list.filter((one) => one.t_s <= frame.t_s).pop() ?? null, picture = last(this.pictures);
     return {
       frame: { ...frame, messages: messagesUpTo(this.messages, frame.t_s) },
-      scene: this.scenes.get(frame.scene) ?? null, trail: this.trail(index), flow: last(this.flows), picture, image: picture && picture.image,
+      scene: this.scenes.get(frame.scene) ?? null, trail: this.trail(frame.t_s), flow: last(this.flows), picture, image: picture && picture.image,
     };
   }
 
-  trail(index) {
-    const { north, east, depth } = this.columns, points = [];
-    for (let k = index; k >= 0 && points.length < TRAIL; k -= 1) {
-      const last = points[points.length - 1];
-      if (Number.isNaN(north[k]) || (last && Math.hypot(last[0] - north[k], last[1] - east[k], last[2] - depth[k]) <= TRAIL_STEP_M)) continue;
-      points.push([north[k], east[k], depth[k]]);
-    }
-    return [...this.before.slice(points.length - TRAIL), ...points.reverse()];
+  // Where it had been until then, oldest first.
+  trail(t_s) {
+    const end = above(this.passed_s, this.passed_s.length, t_s), kept = this.passed.slice(Math.max(end - TRAIL, 0), end);
+    return kept.length < TRAIL ? [...this.before.slice(kept.length - TRAIL), ...kept] : kept;
+  }
+
+  pass(t_s, place) {
+    const last = this.passed[this.passed.length - 1];
+    if (last && Math.hypot(...place.map((value, axis) => value - last[axis])) <= TRAIL_STEP_M) return;
+    this.passed.push(place);
+    this.passed_s.push(t_s);
   }
 }
 
@@ -113,9 +120,7 @@ export const messagesUpTo = (messages, t_s) => messages.filter((message) => mess
 // Charts
 
 const MORE_PX = 200; // from that width on the name says all lines
-const PAD = { left: 34, right: 8, top: 18, bottom: 14 }, FONT = "11px system-ui, sans-serif";
-
-const number = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
+const PAD = { left: 34, right: 8, top: 18, bottom: 14 }, FONT_PX = 11;
 
 function layout(width, height) {
   const columns = width >= 900 ? 6 : width >= 540 ? 3 : 2, rows = CHARTS.length / columns;
@@ -169,40 +174,46 @@ function range({ lines, bounds, least, turns }, { columns }, first, last, scene)
   return { low: low - (least === undefined ? pad : 0), high: high + pad, ends };
 }
 
+// The lines as they were drawn last, and of what: a time that is dragged through them leaves them as they are.
+const drawn = { of: [], canvas: null };
+
 // `frame`: what is shown at the time `at`, whose values stand beside the names; `label`: how a time is written.
 export function drawCharts(ctx, width, height, { history, scene, frame, from, to, at, label }, colors) {
-  ctx.fillStyle = colors.back;
-  ctx.fillRect(0, 0, width, height);
-  ctx.font = FONT;
-  ctx.textBaseline = "middle";
-  const words = (said, x, y, color, align) => { ctx.fillStyle = color; ctx.textAlign = align; ctx.fillText(said, x, y); };
-  const line = (points, color, wide, dash = []) => {
-    ctx.beginPath();
-    points.forEach(([x, y], place) => (place ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-    ctx.setLineDash(dash);
-    ctx.strokeStyle = color;
-    ctx.lineWidth = wide;
-    ctx.stroke();
-  };
   const { t } = history.columns, first = Math.max(above(t, history.count, from) - 1, 0), last = above(t, history.count, to);
+  const { width: across, height: high } = ctx.canvas, ends = [label(from), label(to)];
+  const of = [history, scene, colors, across, high, width, from, to, ...ends, t[first], first, last];
+  if (!across || !high) return;
+  if (of.some((value, place) => value !== drawn.of[place])) {
+    Object.assign(drawn, { of, canvas: new OffscreenCanvas(across, high) });
+    const lines = drawn.canvas.getContext("2d");
+    lines.scale(across / width, high / height);
+    drawLines(lines, width, height, { history, scene, first, last, from, to, ends }, colors);
+  }
+  ctx.drawImage(drawn.canvas, 0, 0, width, height);
   const here = frame ? Object.fromEntries(values(frame).map((value, place) => [COLUMNS[place], value])) : {};
+  for (const { chart, x, y, w, h } of layout(width, height)) {
+    const now = x + w * Math.min(Math.max((at - from) / Math.max(to - from, 1e-9), 0), 1);
+    stroke(ctx, [[now, y], [now, y + h]], colors.ink, 1);
+    const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
+    const name = chart.other && !Number.isFinite(here.error) ? chart.other : chart.name + ((w > MORE_PX && chart.more) || ""); // no truth, no error
+    text(ctx, name, x, y - 9, colors.weak, "left", FONT_PX);
+    text(ctx, `${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right", FONT_PX);
+  }
+}
+
+function drawLines(ctx, width, height, { history, scene, first, last, from, to, ends: [begin, end] }, colors) {
+  clear(ctx, width, height, colors);
   for (const { chart, x, y, w, h } of layout(width, height)) {
     const { low, high, ends } = range(chart, history, first, last, scene), perSecond = w / Math.max(to - from, 1e-9);
     const level = (value) => y + h * (chart.down ? (value - low) / (high - low) : (high - value) / (high - low));
     const within = (points) => points.map(([px, value]) => [x + Math.min(Math.max(px, 0), w), level(value)]);
-    line([[x, y], [x, y + h], [x + w, y + h]], colors.grid, 1);
-    for (const bound of chart.bounds(scene)) line([[x, level(bound)], [x + w, level(bound)]], colors.fence, 1, [5, 4]);
+    stroke(ctx, [[x, y], [x, y + h], [x + w, y + h]], colors.grid, 1);
+    for (const bound of chart.bounds(scene)) stroke(ctx, [[x, level(bound)], [x + w, level(bound)]], colors.fence, 1, false, [5, 4]);
     for (const [name, color] of chart.lines) {
-      for (const run of outline(t, history.columns[name], first, last, from, perSecond, chart.turns)) line(within(run), colors[color], 1.5);
+      for (const run of outline(history.columns.t, history.columns[name], first, last, from, perSecond, chart.turns)) stroke(ctx, within(run), colors[color], 1.5);
     }
-    const now = x + Math.min(Math.max((at - from) * perSecond, 0), w);
-    line([[now, y], [now, y + h]], colors.ink, 1);
-    const shown = chart.lines.map(([name]) => here[name]).filter((value) => Number.isFinite(value));
-    const name = chart.other && !Number.isFinite(here.error) ? chart.other : chart.name + ((w > MORE_PX && chart.more) || ""); // no truth, no error
-    words(name, x, y - 9, colors.weak, "left");
-    words(`${shown.length ? shown.map((value) => number(value, chart.digits)).join(", ") : "–"} ${chart.unit}`, x + w, y - 9, colors.ink, "right");
-    for (const value of ends) words(number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right");
-    words(label(from), x, y + h + 7, colors.weak, "left");
-    words(label(to), x + w, y + h + 7, colors.weak, "right");
+    for (const value of ends) text(ctx, number(value, value >= 100 ? 0 : chart.digits && 1), x - 4, level(value), colors.weak, "right", FONT_PX);
+    text(ctx, begin, x, y + h + 7, colors.weak, "left", FONT_PX);
+    text(ctx, end, x + w, y + h + 7, colors.weak, "right", FONT_PX);
   }
 }

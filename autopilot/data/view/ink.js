@@ -33,12 +33,34 @@ export function circle(ctx, [x, y], radius, color, width, filled = false, dash =
   ctx.setLineDash([]);
 }
 
-export function text(ctx, words, x, y, color, align = "left") {
+export function text(ctx, words, x, y, color, align = "left", size_px = 12) {
   ctx.fillStyle = color;
   ctx.textAlign = align;
   ctx.textBaseline = "middle";
-  ctx.font = "12px system-ui, sans-serif";
+  ctx.font = `${size_px}px system-ui, sans-serif`;
   ctx.fillText(words, x, y);
+}
+
+export function clear(ctx, width, height, colors) {
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(0, 0, width, height);
+}
+
+// Without a minus before nothing.
+export const number = (value, digits) => value.toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1");
+
+// The two edges of what lies within its radius of a way, in a plane; where the way stands still (`least`) they have no side.
+export function tubeEdges(points, radii, least) {
+  const edges = [[], []];
+  points.forEach(([x, y, ...rest], index) => {
+    const [x0, y0] = points[Math.max(index - 1, 0)], [x1, y1] = points[Math.min(index + 1, points.length - 1)];
+    const length = Math.hypot(x1 - x0, y1 - y0), r = radii[index];
+    if (length < least) return;
+    const [u, v] = [(r * (y1 - y0)) / length, (r * (x0 - x1)) / length];
+    edges[0].push([x + u, y + v, ...rest]);
+    edges[1].push([x - u, y - v, ...rest]);
+  });
+  return edges;
 }
 
 export function arrow(ctx, [x0, y0], [x1, y1], color, width) {

@@ -1,6 +1,6 @@
 // How far the vehicle's body is from what it keeps clear of, and the body and tube of its prediction from the fence: the
 // places at which that is least. Nothing here knows the page.
-import { stroke, text } from "./ink.js";
+import { number, stroke, text } from "./ink.js";
 
 const LEAST_BODY_PX = 8; // radius of the body below which there is no room for dimensions
 const TICK_PX = 4, FAR_PX = 70; // of a line's ends, and of its figure from the body at most
@@ -77,6 +77,6 @@ export function drawDimensions(ctx, view, scene, frame, colors) {
     figures.push(beside);
     stroke(ctx, [edge, to], paint, 1);
     for (const [x, y] of [edge, to]) stroke(ctx, [[x - TICK_PX * v, y + TICK_PX * u], [x + TICK_PX * v, y - TICK_PX * u]], paint, 1);
-    text(ctx, `${free_m.toFixed(2).replace(/^-(0\.00)$/, "$1")} m`, ...beside, colors[free_m < 0 ? "fence" : "ink"], side ? "left" : "center");
+    text(ctx, `${number(free_m, 2)} m`, ...beside, colors[free_m < 0 ? "fence" : "ink"], side ? "left" : "center");
   }
 }

@@ -3,6 +3,7 @@ import { History, messagesUpTo } from "./history.js";
 
 const STEP_S = 0.1, BLOCK = 50, KEPT_BLOCKS = 24; // frames of a block
 const CHART_FRAMES = 600, PART = 100; // of the charts, and of these in one request
+const FLOW_STEP_S = 1;
 const FAST = 4; // from that speed on every fourth frame is enough
 export const RATES = [0.25, 0.5, 1, 2, 4, 8, 16];
 
@@ -16,7 +17,7 @@ export class Player {
   // `show` takes a moment, `say` what goes wrong, `drawn` that there is more of the charts.
   constructor(show, say, drawn) {
     Object.assign(this, { show, say, drawn, log: null, t: 0, playing: false, rate: 1, pictures: false });
-    Object.assign(this, { blocks: new Map(), charts: new History(false), window: [0, 0], shown: "", turn: 0, asking: false, again: false, pictured: NaN });
+    Object.assign(this, { blocks: new Map(), charts: new History(false), window: [0, 0], turn: 0, asking: false, again: false, beside: {} });
   }
 
   async open() {
@@ -80,7 +81,7 @@ export class Player {
       this.give(block.frames[index], [...block.trail, ...block.frames.slice(0, index + 1).flatMap(({ estimate }) => (estimate ? [estimate.pos_ned_m] : []))]);
     }
     if (!this.playing) this.single(); // to the tick, where time stands still
-    this.picture();
+    this.rest();
   }
 
   async single() {
@@ -100,22 +101,27 @@ export class Player {
     this.show({ frame: { ...frame, messages: messagesUpTo(this.log.events, frame.t_s) }, trail, scene: this.log.scene });
   }
 
-  // The camera's picture, one request at a time.
-  async picture() {
-    const t = Math.floor(this.t / STEP_S) * STEP_S;
-    if (!this.pictures || this.looking || t === this.pictured) return;
-    this.looking = true;
-    this.pictured = t;
-    try {
-      const picture = await asked(`picture?t=${t}`), image = picture && new Image();
+  // What is asked for by itself: the camera's picture, and of a simulation the field of the current.
+  rest() {
+    if (this.log.scene.simulated) this.ask("flow", FLOW_STEP_S, (flow) => ({ flow }));
+    if (this.pictures) this.ask("picture", STEP_S, async (picture) => {
+      const image = picture && new Image();
       if (image) {
         image.src = `data:image/jpeg;base64,${picture.jpeg}`;
         await image.decode();
       }
-      this.show({ picture: picture && { ...picture, arrived: performance.now() / 1e3 }, image });
-    } catch (error) { this.failed(error); }
-    this.looking = false;
-    this.picture();
+      return { picture: picture && { ...picture, arrived: performance.now() / 1e3 }, image };
+    });
+  }
+
+  // One request of a kind at a time.
+  async ask(kind, step_s, made) {
+    const t = Math.floor(this.t / step_s) * step_s, before = (this.beside[kind] ??= { asking: false, t: NaN });
+    if (before.asking || t === before.t) return;
+    Object.assign(before, { asking: true, t });
+    try { this.show(await made(await asked(`${kind}?t=${t}`))); } catch (error) { this.failed(error); }
+    before.asking = false;
+    this.ask(kind, step_s, made);
   }
 
   failed(error) { this.playing = false; this.say(`${error.message ?? error}`); }

@@ -1,9 +1,9 @@
 // The plan's place in 3-D, on demand: loads three.js and what is drawn by it, and turns pointer and keys into a camera.
 // Off, it costs nothing; out of sight nothing is drawn.
+import { ARROWS, apart, plainKey, viewKeys, wheelZoom } from "./gestures.js";
 
 const TURN_RAD_PX = 0.008, TURN_KEY_RAD = 0.15, ZOOM_KEY = 1.25, MOST_NEAR = 1000;
 const RESET = "3-D: the graphics driver has reset; wait, or reload the page";
-const KEYS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 export class SpaceView {
   // `parts`: canvas, button, chart and words of the page; `missing`: how to get three.js where it is not there;
@@ -15,13 +15,13 @@ export class SpaceView {
     on("pointerdown", (event) => { this.pointers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); });
     on("pointermove", (event) => this.drag(event));
     for (const end of ["pointerup", "pointercancel"]) on(end, (event) => this.pointers.delete(event.pointerId));
-    on("wheel", (event) => { event.preventDefault(); this.zoom(Math.exp(-0.002 * event.deltaY * (event.deltaMode ? 20 : event.ctrlKey ? 5 : 1))); });
+    on("wheel", (event) => { event.preventDefault(); this.zoom(wheelZoom(event)); });
+    const keys = viewKeys((factor) => this.zoom(factor), ZOOM_KEY, fit, follow);
     on("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey) return;
-      const way = KEYS[event.key], work = { "+": () => this.zoom(ZOOM_KEY), "=": () => this.zoom(ZOOM_KEY), "-": () => this.zoom(1 / ZOOM_KEY), 0: fit, f: follow, F: follow }[event.key];
-      if (!way && !work) return;
+      const way = ARROWS[event.key], work = keys[event.key];
+      if (!plainKey(event) || (!way && !work)) return;
       event.preventDefault();
-      if (way) this.turn(way[0] * TURN_KEY_RAD, way[1] * TURN_KEY_RAD);
+      if (way) this.turn(-way[0] * TURN_KEY_RAD, -way[1] * TURN_KEY_RAD);
       else work();
     });
     // Nothing of a lost context may be used, or deleted, in the next one: another world is made there.
@@ -69,10 +69,8 @@ export class SpaceView {
     if (!before) return;
     const other = [...this.pointers].find(([id]) => id !== event.pointerId);
     this.pointers.set(event.pointerId, now);
-    if (other) {
-      const apart = ([x, y]) => Math.max(Math.hypot(x - other[1][0], y - other[1][1]), 1);
-      this.zoom(apart(now) / apart(before));
-    } else this.turn((now[0] - before[0]) * TURN_RAD_PX, (now[1] - before[1]) * TURN_RAD_PX);
+    if (other) this.zoom(apart(now, other[1]) / apart(before, other[1]));
+    else this.turn((now[0] - before[0]) * TURN_RAD_PX, (now[1] - before[1]) * TURN_RAD_PX);
   }
 
   // By how much the world turns to the right, and its near side down.

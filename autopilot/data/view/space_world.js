@@ -1,11 +1,12 @@
 // What the plan shows, in 3-D, by three.js. Coordinates are local NED metres: one group turns them to three's axes.
 import { faded } from "./draw.js";
-import { hull } from "./ink.js";
+import { hull, tubeEdges } from "./ink.js";
 import { extent, floorDepth, gridStep } from "./plan.js";
 
 const FOV_DEG = 40, AXES = [["#e5484d", [1, 0, 0]], ["#30a46c", [0, 1, 0]], ["#3e7bfa", [0, 0, 1]]]; // forward, right, down
 const FLOW_S = 2; // an arrow of a current is what it carries away in that time
 const ROUND = 24; // corners of a circle
+const LEAST_M = 1e-4; // of a prediction's way, to have sides
 const NAME_PX = 28, LEAST_PX = 7; // height of a name's box; radius of the vehicle, at least
 const FOLLOW_RADII = 12; // of its body, of what is seen of a vehicle that is followed
 
@@ -20,16 +21,6 @@ const closed = (points) => [...points, points[0]];
 const strip = (one, other) => one.slice(1).flatMap((end, k) => [one[k], end, other[k], other[k], end, other[k + 1]]);
 
 const halfOf = ({ n0, n1, e0, e1 }, floor) => 0.5 * Math.hypot(n1 - n0, e1 - e0, floor);
-
-// The two edges of a tube, which is a matter of the horizontal plane.
-export function tubeEdges(points, radii) {
-  const sides = points.map(([n, e, d], k) => {
-    const [n0, e0] = points[Math.max(k - 1, 0)], [n1, e1] = points[Math.min(k + 1, points.length - 1)];
-    const length = Math.hypot(n1 - n0, e1 - e0) || 1, [u, v] = [(-radii[k] * (e1 - e0)) / length, (radii[k] * (n1 - n0)) / length];
-    return [[n + u, e + v, d], [n - u, e - v, d]];
-  });
-  return [sides.map(([one]) => one), sides.map(([, other]) => other)];
-}
 
 export class World {
   constructor(THREE, canvas, context) {
@@ -149,9 +140,9 @@ export class World {
     const { estimate, truth, control, goal } = frame;
     if (goal) this.line(group, at(closed(ring(goal.pos_ned_m, goal.accept_radius_m)), goal.pos_ned_m[2]), colors.goal);
     if (control) {
-      const depth = estimate ? estimate.pos_ned_m[2] : 0, edges = tubeEdges(control.horizon_ned_m, control.tube_m.length ? control.tube_m : control.horizon_ned_m.map(() => 0));
-      this.line(group, at(control.route_ned_m, depth), colors.route);
-      if (control.tube_m.length) {
+      this.line(group, at(control.route_ned_m, estimate ? estimate.pos_ned_m[2] : 0), colors.route);
+      const edges = tubeEdges(control.horizon_ned_m, control.tube_m, LEAST_M);
+      if (control.tube_m.length && edges[0].length) {
         this.faces(group, strip(...edges), colors.tube);
         for (const edge of edges) this.line(group, edge, colors.horizon);
       }

@@ -1,8 +1,9 @@
 // Slider, buttons and strip charts: back to a moment of the live view, or through a log.
+import { plainKey } from "./gestures.js";
 import { drawCharts, timeAt } from "./history.js";
+import { $, set } from "./page.js";
 import { RATES } from "./player.js";
 
-const $ = (id) => document.getElementById(id);
 const SMALL_S = 0.1, LARGE_S = 1, AT_END_S = 0.05;
 const SPANS = [["1 min", 60], ["10 min", 600]];
 const EVENT_LENGTH = 60; // letters of a message in the list
@@ -55,7 +56,7 @@ export class Timeline {
   // Space plays, arrows step, Home and End go to the ends, Escape back to the present.
   key(event) {
     const { source } = this, tag = event.target.tagName;
-    if (event.ctrlKey || event.metaKey || event.altKey || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
+    if (!plainKey(event) || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
     const step = event.shiftKey ? LARGE_S : SMALL_S;
     const work = {
       " ": () => source.play(!source.playing),
@@ -69,15 +70,14 @@ export class Timeline {
     work();
   }
 
-  // How things stand; nothing is written that stands there already.
+  // How things stand.
   show() {
     const { source, log } = this, when = $("when"), { begin, end, now } = source;
-    const set = (one, name, value) => { if (one[name] !== value) one[name] = value; };
     set(when, "min", begin.toFixed(1));
     set(when, "max", (log ? Math.ceil(10 * end) / 10 : end).toFixed(1));
     set(when, "value", now.toFixed(1));
     const back = end - now, words = log ? `${now.toFixed(1)} of ${end.toFixed(1)} s` : source.live ? "" : `${back.toFixed(1)} s ago`;
-    when.ariaValueText = log ? words : source.live ? "live" : words;
+    set(when, "ariaValueText", log ? words : source.live ? "live" : words);
     set($("moment"), "textContent", words);
     set($("past"), "textContent", log ? "Log" : source.live ? "" : `Past: ${words}`);
     set($("present"), "hidden", log || source.live);
