@@ -436,6 +436,9 @@ class ArduSub(Closing):
         if t_us - self._sent_us < SEND_EVERY_US:
             return
         self._sent_us = t_us
+        if not self._watch.armed:  # it arms with neutral channels only
+            wire.override(NEUTRAL)
+            return
         mixed = self._mixer.mix(pwm_us, self._telemetry.supply_v)
         self.saturated_count += mixed.saturated
         wire.override(mixed.channels_us)

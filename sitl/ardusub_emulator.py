@@ -43,6 +43,8 @@ PLANE = 4
 """Motors 1 to 4 lie in the plane."""
 READ_US = 20_000
 """Channels are read so often."""
+PILOT_HEARD_US = 1_000_000
+"""So long after a pilot's message it arms with centred roll, pitch and yaw only."""
 STILL_US = 510_000
 """Neutral after arming."""
 DISARM_SHOWN_US = 400_000
@@ -315,6 +317,13 @@ class ArduSubEmulator:
             self.armed, self._armed_us, self._shown_armed, self._input_us = True, t_us, True, None
             self._text(6, "Arming motors")
 
+    def _not_neutral(self, t_us: int) -> str:
+        """What keeps it from arming in the channels of a pilot who is heard."""
+        if self._input_us is None or t_us - self._input_us > PILOT_HEARD_US:
+            return ""
+        moved = [name for name in ("ROLL", "PITCH", "YAW") if self._channels[CHANNEL_NUMBERS[name] - 1] != NEUTRAL_US]
+        return f"{moved[0].capitalize()} (RC{CHANNEL_NUMBERS[moved[0]]}) is not neutral" if moved else ""
+
     def _disarm(self, t_us: int) -> None:
         if self.armed:
             self.armed, self._show_us = False, t_us + DISARM_SHOWN_US
@@ -376,9 +385,10 @@ class ArduSubEmulator:
     def _command(self, t_us: int, message: Any, source: int) -> None:
         """Anybody may arm, disarm and change the mode."""
         result = 3
-        if message.command == 400 and message.param1 > 0.5 and self.objection:
+        objection = self.objection or self._not_neutral(t_us) if message.command == 400 else ""
+        if message.param1 > 0.5 and objection:
             result = 4
-            self._text(2, f"Arm: {self.objection}")
+            self._text(2, f"Arm: {objection}")
         elif message.command == 400:
             result = 0
             (self._arm if message.param1 > 0.5 else self._disarm)(t_us)

@@ -101,6 +101,20 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     assert flight.world.truth.contact_count == touched
 
 
+def test_what_is_refused_at_first_is_armed_later_though_thrust_is_wanted_meanwhile(tank: Callable[..., Tank]) -> None:
+    """It arms with neutral channels only."""
+    flight = tank()
+    flight.run(lambda outputs: outputs.mode.armed, 20.0)
+    flight.below.objection = "Compass not healthy"
+    flight.run(lambda outputs: max(map(abs, outputs.command.thrust_n)) > 1.0, 3.0)
+    assert not flight.below.armed
+    assert set(flight.below._channels) == {1500}
+    flight.below.objection = ""
+    flight.run(lambda _: flight.below.armed, 3.0)
+    flight.run(lambda _: set(flight.below._channels) != {1500}, 1.0)
+    flight.run(_flies, 60.0)
+
+
 def test_a_loop_that_was_held_for_half_a_second_goes_on_with_the_present(tank: Callable[..., Tank]) -> None:
     """What devices have measured meanwhile comes at once, with its own times."""
     flight = tank()
