@@ -476,11 +476,11 @@ class ArduSub(Closing):
                 t_us,
                 message.time_usec,
                 found,
-                slow_heave=self._watch.slow_heave,
+                slow_heave=self._mixer.heave_signs if self._watch.slow_heave else None,
                 round_trip_us=self._telemetry.latency.longest_us,
             )
         else:
-            self._senders.skip()
+            self._senders.skip(found)
         tilt = self._vehicle.tilt
         pulse_us = 0 if tilt is None else getattr(message, f"servo{tilt.channel}_raw", 0)
         return [*self._tilt.of(t_us, pulse_us)]

@@ -197,6 +197,11 @@ class Mixer:
     def motors(self) -> int:
         return len(self._order)
 
+    @property
+    def heave_signs(self) -> tuple[float, ...]:
+        """Of the upright motors' pulses."""
+        return tuple((self.directions * self._factors[:, Axis.THROTTLE])[PLANE_MOTORS:].tolist())
+
     def take(self, parameters: Mapping[str, float]) -> None:
         """Use the flight controller's mixing parameters."""
         names = [f"MOT_{motor}_DIRECTION" for motor in range(1, self.motors + 1)]

@@ -40,6 +40,8 @@ class OutputWatch:
 
     def __init__(self) -> None:
         self._meant: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._found: tuple[int, ...] = ()
+        """The last report."""
         self._wrong: deque[tuple[int, bool]] = deque(maxlen=WINDOW)
         """Of the last reports: time of the vehicle, and whether they show another command than ours."""
         self._clock_us: int | None = None
@@ -56,7 +58,8 @@ class OutputWatch:
 
     def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
         if not self._meant or t_us - self._meant[-1][0] > PAUSE_US:
-            self._meant.append((t_us, (NEUTRAL_US,) * len(servos_us)))
+            still = (NEUTRAL_US,) * len(servos_us)
+            self._meant += [(t_us, still), (t_us, self._found or still)]  # heave is filtered from there on
         self._meant.append((t_us, servos_us))
 
     def forget(self) -> None:
@@ -67,15 +70,24 @@ class OutputWatch:
         self.skip()
         self.rival = False
 
-    def skip(self) -> None:
-        """Ignore reports for now, as after a silence; a detected second sender is kept."""
+    def skip(self, found: tuple[int, ...] = ()) -> None:
+        """Ignore reports for now, as after a silence, this one too; a detected second sender is kept."""
+        self._found = found or self._found
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 
     def check(
-        self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool, round_trip_us: int = 0
+        self,
+        t_us: int,
+        stamp_us: int,
+        found: tuple[int, ...],
+        *,
+        slow_heave: Sequence[float] | None,
+        round_trip_us: int = 0,
     ) -> None:
-        """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec, ``round_trip_us`` the link's."""
+        """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec, ``round_trip_us`` the link's.
+
+        ``slow_heave``: signs of heave in the pulses of the upright motors, None where it is not filtered."""
         meant = self._meant
         if not meant:
             self.skip()
@@ -87,7 +99,10 @@ class OutputWatch:
         commands = [servos for _, servos in meant]
         if t_us - meant[-1][0] > PAUSE_US:
             commands.append(still)
-        wrong = not (_is_slowly_meant if slow_heave else _is_meant)(found, commands)
+        if slow_heave is None:
+            wrong = not _is_meant(found, commands)
+        else:
+            wrong = not _is_slowly_meant(found, commands, slow_heave)
         self._wrong.append((now_us, wrong))
         while now_us - self._wrong[0][0] > WINDOW_US:
             self._wrong.popleft()
@@ -131,14 +146,22 @@ def _is_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bo
     return any(_alike(found, meant) for meant in reversed(commands))
 
 
-def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
-    """As for other motors, with filtered heave: outputs of upright motors lie between those of a longer window."""
-    between = all(
-        min(meant) - SLOW_TOLERANCE_US <= pulse <= max(meant) + SLOW_TOLERANCE_US
-        for pulse, meant in zip(found[PLANE_MOTORS:], list(zip(*commands, strict=True))[PLANE_MOTORS:], strict=True)
-    )
-    return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for meant in reversed(commands))
+def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]], signs: Sequence[float]) -> bool:
+    """As for other motors, with filtered heave: it lies between that of a longer window, roll and pitch as meant."""
+    heave_us, turns = _heave_apart(found, signs)
+    flat = found[:PLANE_MOTORS]
+    apart = [(*_heave_apart(meant, signs), meant[:PLANE_MOTORS]) for meant in reversed(commands)]
+    heaves_us = [heave_us for heave_us, *_ in apart]
+    between = min(heaves_us) - SLOW_TOLERANCE_US <= heave_us <= max(heaves_us) + SLOW_TOLERANCE_US
+    return between and any(_alike(flat, plane) and _alike(turns, turning) for _, turning, plane in apart)
 
 
-def _alike(found: Sequence[int], meant: Sequence[int]) -> bool:
+def _heave_apart(servos_us: Sequence[int], signs: Sequence[float]) -> tuple[float, list[float]]:
+    """Heave in the pulses of the upright motors, and what they have beside it."""
+    off_us = [pulse_us - NEUTRAL_US for pulse_us in servos_us[PLANE_MOTORS:]]
+    heave_us = sum(sign * off for sign, off in zip(signs, off_us, strict=True)) / len(off_us)
+    return heave_us, [off - sign * heave_us for sign, off in zip(signs, off_us, strict=True)]
+
+
+def _alike(found: Sequence[float], meant: Sequence[float]) -> bool:
     return all(abs(one - other) <= SERVO_TOLERANCE_US for one, other in zip(found, meant, strict=True))

@@ -26,6 +26,9 @@ from autopilot.sitl.thruster_models import OFF_US, wrench_of
 SYSTEM, COMPONENT = 1, 1
 MANUAL, STABILIZE = 19, 0
 DEPTH_HOLD, ACRO, SURFACE, POSITION_HOLD = 2, 1, 9, 16
+HOLD_DEPTH = (DEPTH_HOLD, SURFACE, POSITION_HOLD)
+HELD_HEAVE_US = 150.0
+"""What these have at the upright motors themselves: MANUAL begins there."""
 SLOW_HEAVE_RAD_S = 2.0 * math.pi * 2.0
 """Low-pass of heave that the modes with depth hold leave behind in MANUAL."""
 MODES = {0: "Stabilize", 1: "Acro", 2: "Depth Hold", 9: "Surface", 16: "Position Hold", 19: "Manual"}
@@ -239,7 +242,7 @@ class ArduSubEmulator:
         """Unfiltered, except for the filter that depth hold leaves active until a disarming or another mode."""
         if not self.armed or self.mode in (STABILIZE, ACRO):
             self._slow_heave = False
-        elif self.mode in (DEPTH_HOLD, SURFACE, POSITION_HOLD):
+        elif self.mode in HOLD_DEPTH:
             self._slow_heave = True
         commanded, passed_s = self._read[CHANNEL_OF["T"]], 1e-6 * (t_us - self._heave_us)
         gain = 1.0 - math.exp(-SLOW_HEAVE_RAD_S * passed_s) if self._slow_heave else 1.0
@@ -333,6 +336,8 @@ class ArduSubEmulator:
         if mode not in MODES:
             self._text(4, f"No such mode {mode}")
             return False
+        if mode == MANUAL and self.mode in HOLD_DEPTH and self.armed:
+            self._heave = HELD_HEAVE_US
         self.mode = mode
         if mode == MANUAL:
             self._read = [0.0] * 6

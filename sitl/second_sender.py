@@ -44,7 +44,7 @@ class SharedThrusters:
             return None
         if t_us - self._reported_us >= REPORT_US and self._found:
             self._reported_us = t_us
-            self._watch.check(t_us, t_us & 0xFFFFFFFF, self._found, slow_heave=False)
+            self._watch.check(t_us, t_us & 0xFFFFFFFF, self._found, slow_heave=None)
         rival = armed and self._watch.rival
         pulses_us = self._found if rival else ()
         return FlightControllerState(

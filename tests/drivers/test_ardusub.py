@@ -362,8 +362,8 @@ def test_heave_that_depth_hold_has_left_slow_is_no_joystick(bench: Bench, holds_
     bench.set_mode(19)
     seen = set()
     for turn in range(300):
-        up = turn // 10 % 2
-        bench.pulses = (*FORWARD[:4], 1500 + 90 * up, 1500 + 90 * up)
+        up, roll = 90 * (turn // 10 % 2), 35 * (turn // 4 % 3 - 1)  # roll beside it is not filtered
+        bench.pulses = (*FORWARD[:4], 1500 + up + roll, 1500 + up - roll)
         bench.tick()
         assert bench.state.problem == "" and not bench.state.rival
         seen.add(bench.below.servos_us[4])
