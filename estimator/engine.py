@@ -261,6 +261,8 @@ class AidedEstimator(Estimator):
         self._ahrs_ages_us.append(now_us - sample.t_us)
         if not self._validator.let_in(sample, now_us, newest_us):
             return
+        if self._ahrs_us is not None and now_us - self._ahrs_us > ENGINE.restarted_us:
+            self._monitors.imu.forgive()
         self._ahrs_us = now_us
         if own and self._options.watch_tilt:
             self._attitude.watch(sample)

@@ -138,6 +138,9 @@ class EngineTuning:
     """which is taken for no more than this."""
     blind_after_us: int = 200_000
     """Time without AHRS samples after which the estimate is dead reckoning: a few lost ones change nothing."""
+    restarted_us: int = 1_500_000
+    """After so long a silence the AHRS may have been restarted, which is the remedy for wrong readings: they count
+    anew. A flight controller's reboot takes two seconds."""
     blind_step_us: int = 20_000
     blind_steps_max: int = 500
     """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""

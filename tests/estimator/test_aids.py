@@ -167,6 +167,24 @@ def test_a_depth_sensor_that_is_off_is_named_and_moves_nothing(
     assert all(nav.health is NavHealth.GOOD for _, nav in settled)
 
 
+def test_an_ahrs_that_was_restarted_is_judged_anew(make_ekf: Make) -> None:
+    """Or a vehicle at rest, where nothing clears the doubt, could never arm again."""
+    estimator, world = make_ekf(), World(no_current, Faults(ahrs_gap_s=(8.0, 10.0)))
+    doubted: dict[float, bool] = {}
+    for truth, samples, command in world.run(10.4):
+        wrong = 2.0 if 5e6 < truth.t_us < 8e6 else 0.0
+        given = [
+            replace(sample, accel_frd_m_s2=sample.accel_frd_m_s2 + wrong) if isinstance(sample, AhrsSample) else sample
+            for sample in samples
+        ]
+        nav = estimator.step(truth.t_us, given, command)
+        if nav is not None:
+            doubted[1e-6 * truth.t_us] = NavDoubt.ACCELEROMETER in nav.doubts
+    assert not any(on for t_s, on in doubted.items() if t_s < 5.0)
+    assert all(on for t_s, on in doubted.items() if 7.0 < t_s < 10.0)
+    assert not any(on for t_s, on in doubted.items() if t_s > 10.05)
+
+
 FLOOR_M = 1.5
 
 

@@ -10,6 +10,8 @@ from pymavlink import mavutil
 Message = Any
 READ_S = 0.05
 BEAT_S = 0.5
+CONNECTING_S = 60
+"""TCP is tried each second."""
 
 
 class Link:
@@ -17,7 +19,12 @@ class Link:
 
     def __init__(self, address: str, *, system: int = 255, component: int = 190) -> None:
         self.wire: Any = mavutil.mavlink_connection(
-            address, source_system=system, source_component=component, dialect="ardupilotmega", autoreconnect=True
+            address,
+            source_system=system,
+            source_component=component,
+            dialect="ardupilotmega",
+            autoreconnect=True,
+            retries=CONNECTING_S,
         )
         self.beating = True
         self._came: list[tuple[float, Message]] = []

@@ -44,6 +44,8 @@ PLACES = {"vectored": "paper-tank", "vectored_6dof": "pool"}
 """Scenarios: the Heavy is too wide for the tank's cylinders."""
 FRAMES = {"vectored": 1.0, "vectored_6dof": 2.0}
 GROUND_PA = 101_325.0
+PREARM = 1 << 28
+"""MAV_SYS_STATUS_PREARM_CHECK."""
 READY_S, END_S = 120.0, 60.0
 MANUAL, STABILIZE, DEPTH_HOLD, SURFACE = 19, 0, 2, 9
 Process = subprocess.Popen[bytes]
@@ -94,12 +96,22 @@ class Rig:
         else:
             self._simulate(below.program)
         self.service: Process | None = None
+        self._links: list[Link] = []
+        try:
+            self._open(start)
+        except BaseException:
+            self.end()
+            raise
+
+    def _open(self, start: bool) -> None:
         self.pilot = Link(self._pilot_address, component=191)
+        self._links.append(self.pilot)
         self.pilot.wait("HEARTBEAT", lambda m: m.get_srcSystem() == 1, READY_S, 0)
-        for name, value in self.parameters.items() if below.program is None else ():
+        for name, value in self.parameters.items() if self.below.program is None else ():
             self.pilot.set_parameter(name, value)
         self.watch_outputs()
         self.operator = Link(f"udpout:{LOCAL}:{self.operator_port}")
+        self._links.append(self.operator)
         if start:
             self.start_service()
 
@@ -173,7 +185,10 @@ class Rig:
     def until_ready(self) -> None:
         """Until the vehicle would arm."""
         mark = self.operator.mark
-        self.operator.wait("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & (1 << 28)), READY_S, mark)
+        try:
+            self.operator.wait("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & PREARM), READY_S, mark)
+        except TimeoutError:
+            self.arm()  # which says why not
 
     def upload(self) -> None:
         subprocess.run(
@@ -246,7 +261,7 @@ class Rig:
     def end(self) -> int | None:
         """Stops everything; contacts that the vehicle had, None where the water was killed."""
         self._ended = True
-        for link in (self.operator, self.pilot):
+        for link in self._links:
             link.close()
         for process in reversed(self._processes):  # the service first
             process.send_signal(signal.SIGCONT)
