@@ -66,7 +66,6 @@ class DepthAid(ScalarAid[DepthSample]):
     def __init__(self, vehicle: Vehicle, floor_depth_m: float | None) -> None:
         super().__init__(vehicle.depth_sensor.time_offset_s)
         self._mount_frd_m = vehicle.depth_sensor.position_frd_m
-
         self._ratio = 0.0
 
     def judged(

@@ -152,28 +152,25 @@ def _(bench: Bench) -> str:
         return below(told_s - begin_s, 3.0, "told after")
 
 
-@case("second sender: joystick (MANUAL_CONTROL)", "failsafe SENDER, hold")
-def _(bench: Bench) -> str:
+def _rivalled(bench: Bench, name: str, *fields: int) -> str:
     with bench.rig() as rig:
         rig.fly()
         mark, begin_s = rig.operator.mark, time.monotonic()
         for _turn in range(50):
-            rig.pilot.say("manual_control", 1, 700, 0, 500, 0, 0)
+            rig.pilot.say(name, *fields)
             time.sleep(0.04)
         told_s, _ = rig.operator.text("another sender", mark=mark)
         return below(told_s - begin_s, 2.0, "told after")
+
+
+@case("second sender: joystick (MANUAL_CONTROL)", "failsafe SENDER, hold")
+def _(bench: Bench) -> str:
+    return _rivalled(bench, "manual_control", 1, 700, 0, 500, 0, 0)
 
 
 @case("second sender: RC_CHANNELS_OVERRIDE", "failsafe SENDER, hold")
 def _(bench: Bench) -> str:
-    with bench.rig() as rig:
-        rig.fly()
-        mark, begin_s = rig.operator.mark, time.monotonic()
-        for _turn in range(50):
-            rig.pilot.say("rc_channels_override", 1, 1, 1500, 1500, 1500, 1700, 1500, 1500, 65535, 65535)
-            time.sleep(0.04)
-        told_s, _ = rig.operator.text("another sender", mark=mark)
-        return below(told_s - begin_s, 2.0, "told after")
+    return _rivalled(bench, "rc_channels_override", 1, 1, 1500, 1500, 1500, 1700, 1500, 1500, 65535, 65535)
 
 
 @case("radio receiver sends, RC_PROTOCOLS 0", "no effect on the flight", real_only=True)
@@ -368,45 +365,35 @@ def _(bench: Bench) -> str:
 # Before arming
 
 
-def _refused(bench: Bench, name: str, value: float) -> str:
-    with bench.rig(parameters={name: value}) as rig:
+def _refused(rig: Rig, named: str) -> str:
+    with rig:
         rig.upload()
         time.sleep(12.0)  # its parameters are read
         mark = rig.operator.mark
         must(rig.operator.command(ARM, 1.0) != 0, "it arms")
-        _, text = rig.operator.text(name, mark=mark)
+        _, text = rig.operator.text(named, mark=mark)
         must(not rig.is_armed(), "ArduSub armed")
         return text
 
 
 @case("FS_PILOT_TIMEOUT 3", "arming denied, the parameter named")
 def _(bench: Bench) -> str:
-    return _refused(bench, "FS_PILOT_TIMEOUT", 3.0)
+    return _refused(bench.rig(parameters={"FS_PILOT_TIMEOUT": 3.0}), "FS_PILOT_TIMEOUT")
 
 
 @case("radio receiver enabled, RC_PROTOCOLS 1", "arming denied, the parameter named")
 def _(bench: Bench) -> str:
-    return _refused(bench, "RC_PROTOCOLS", 1.0)
+    return _refused(bench.rig(parameters={"RC_PROTOCOLS": 1.0}), "RC_PROTOCOLS")
 
 
 @case("the file says vectored_6dof, ArduSub vectored", "arming denied, FRAME_CONFIG named")
 def _(bench: Bench) -> str:
-    with bench.rig(file_frame="vectored_6dof") as rig:
-        rig.upload()
-        time.sleep(12.0)
-        mark = rig.operator.mark
-        must(rig.operator.command(ARM, 1.0) != 0, "it arms")
-        return rig.operator.text("FRAME_CONFIG", mark=mark)[1]
+    return _refused(bench.rig(file_frame="vectored_6dof"), "FRAME_CONFIG")
 
 
 @case("ArduSub's own pre-arm check fails", "arming denied in its words", real_only=True)
 def _(bench: Bench) -> str:
-    with bench.rig(parameters={"BATT_MONITOR": 4.0, "BATT_ARM_VOLT": 30.0}) as rig:
-        rig.upload()
-        time.sleep(12.0)
-        mark = rig.operator.mark
-        must(rig.operator.command(ARM, 1.0) != 0, "it arms")
-        return rig.operator.text("Battery", mark=mark)[1]
+    return _refused(bench.rig(parameters={"BATT_MONITOR": 4.0, "BATT_ARM_VOLT": 30.0}), "Battery")
 
 
 @case("lights: DO_SET_SERVO to the autopilot", "output 13 of ArduSub")

@@ -8,6 +8,8 @@ from typing import Any
 from pymavlink import mavutil
 
 Message = Any
+GROUND_STATION = 255
+"""Whom ArduSub obeys."""
 READ_S = 0.05
 BEAT_S = 0.5
 CONNECTING_S = 60
@@ -17,10 +19,10 @@ CONNECTING_S = 60
 class Link:
     """Somebody's connection; HEARTBEAT as a ground station while ``beating``."""
 
-    def __init__(self, address: str, *, system: int = 255, component: int = 190) -> None:
+    def __init__(self, address: str, *, component: int = 190) -> None:
         self.wire: Any = mavutil.mavlink_connection(
             address,
-            source_system=system,
+            source_system=GROUND_STATION,
             source_component=component,
             dialect="ardupilotmega",
             autoreconnect=True,
@@ -93,12 +95,12 @@ class Link:
             raise TimeoutError(f"not told within {patience_s:g} s: {part!r}; last texts {said}") from None
         return t_s, message.text
 
-    def command(self, number: int, *params: float, target: int = 1) -> int:
+    def command(self, number: int, *params: float) -> int:
         """MAV_RESULT of a COMMAND_LONG to the autopilot, asked again each second."""
         filled = (*params, *(0.0,) * (7 - len(params)))
         mark = self.mark
         for turn in range(20):
-            self.say("command_long", target, 1, number, turn, *filled)
+            self.say("command_long", 1, 1, number, turn, *filled)
             try:
                 return int(
                     self.wait("COMMAND_ACK", lambda m: m.command == number and m.result != 5, 1.0, mark)[1].result

@@ -76,10 +76,9 @@ class Rig:
         parameters: Mapping[str, float] | None = None,
         ours: Sequence[str] = (),
         file_frame: str | None = None,
-        start: bool = True,
     ) -> None:
         """``parameters``: ArduSub's, beside :data:`PARAMETERS`; ``ours``: the service's, NAME=VALUE; ``file_frame``:
-        what the service's file says, if it is not the truth; ``start``: the service at once."""
+        what the service's file says, if it is not the truth."""
         folder.mkdir(parents=True)
         self.folder, self.below, self.frame = folder, below, frame
         self._place = load_scenario(PLACES[frame])
@@ -98,12 +97,12 @@ class Rig:
         self.service: Process | None = None
         self._links: list[Link] = []
         try:
-            self._open(start)
+            self._open()
         except BaseException:
             self.end()
             raise
 
-    def _open(self, start: bool) -> None:
+    def _open(self) -> None:
         self.pilot = Link(self._pilot_address, component=191)
         self._links.append(self.pilot)
         self.pilot.wait("HEARTBEAT", lambda m: m.get_srcSystem() == 1, READY_S, 0)
@@ -112,8 +111,7 @@ class Rig:
         self.watch_outputs()
         self.operator = Link(f"udpout:{LOCAL}:{self.operator_port}")
         self._links.append(self.operator)
-        if start:
-            self.start_service()
+        self.start_service()
 
     def watch_outputs(self) -> None:
         """The pilot's link shows the thrusters at 50 Hz."""
@@ -146,14 +144,9 @@ class Rig:
         self._pilot_address = f"tcp:{LOCAL}:{5762 + 10 * self.instance}"
         values = {**self.parameters, **SIMULATED}
         (self.folder / "ardusub.parm").write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
-        self._program = program
-        self.start_ardusub()
-
-    def start_ardusub(self, *, wipe: bool = True) -> None:
-        """Again with what it has stored, unless ``wipe``."""
-        command = [str(self._program), "-I", str(self.instance), "--model", f"JSON:{LOCAL}", "--home", HOME]
+        command = [str(program), "-I", str(self.instance), "--model", f"JSON:{LOCAL}", "--home", HOME]
         command += ["--speedup", "1", "--serial0", f"udpclient:{LOCAL}:{self._flight_port}"]
-        command += ["--defaults", str(self.folder / "ardusub.parm"), *(["--wipe"] if wipe else [])]
+        command += ["--defaults", str(self.folder / "ardusub.parm"), "--wipe"]
         self.ardusub = self._process("ardusub", command)
 
     def _write_file(self, frame: str) -> None:
