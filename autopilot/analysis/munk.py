@@ -12,13 +12,13 @@ import numpy as np
 from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
+from autopilot.core.clock import TICK_US
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 
-TICK_US = 10_000
 MOMENT_N_M = 0.1
 """Standard deviation of the disturbing moment."""
 

@@ -28,9 +28,6 @@ from autopilot.replay.inputs import estimator_ticks
 
 _Bits: TypeAlias = dict[str, NDArray[Any]]
 
-FIRST_TICK_US = 10_000
-"""A log whose first tick is later began while the estimator was running already."""
-
 VECTORS = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s")
 """Fields of /nav/state, in its order."""
 
@@ -132,14 +129,8 @@ def replay(log: Log, setup: EstimatorSetup) -> list[NavState]:
         options=setup.options,
         shadow=setup.shadow,
     )
-    states, first = [], True
+    states = []
     for tick in estimator_ticks(log):
-        if first and tick.t_us > FIRST_TICK_US:
-            raise LogError(
-                f"{log.path}: begins at {1e-6 * tick.t_us:.2f} s, when the estimator was already running; "
-                "replay needs a log from the start (sitl --log FILE)"
-            )
-        first = False
         state = estimator.step(tick.t_us, tick.samples, tick.thrust_n)
         estimator.take_aids()
         if state is not None:

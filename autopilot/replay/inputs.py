@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.clock import TICK_US
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, Authority, FlightControllerState, VelocityGoal
@@ -96,6 +97,16 @@ READERS = {topic: read for topic, read in SAMPLES.items() if topic not in OTHERS
 """Sample types that estimators use."""
 
 
+def require_start(log: Log) -> None:
+    """LogError if the run had begun before its log: ticks are missing that were not skipped as too late."""
+    first = log[TICK][0] if len(log[TICK]) else None
+    if first is not None and int(first["t_us"]) > (1 + int(first["overruns"])) * TICK_US:
+        raise LogError(
+            f"{log.path}: begins at {1e-6 * int(first['t_us']):.2f} s, when the service was already running; "
+            "replay needs a log from the start (--log FILE)"
+        )
+
+
 def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
     """Logged inputs of the estimator.
 
@@ -119,6 +130,7 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
             raise LogError(f"{log.path}: has no {topic}, which replay needs; record the run with this version")
     topics = [TICK, THRUST, *(topic for topic in (*READERS, *OTHERS) if topic in log)]
     log.load(topics)
+    require_start(log)
     tables = [log[topic] for topic in topics]
     positions = [0] * len(topics)
     samples: list[Sample] = []

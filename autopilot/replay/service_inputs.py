@@ -11,12 +11,10 @@ from autopilot.core.samples import Sample
 from autopilot.log.packing.record_values import ALL_LINKS
 from autopilot.log.packing.step_notes import EMPTY, LatchedNotes, StepNotes, inputs_with, unpack
 from autopilot.log.reader import Log, MessageTable
-from autopilot.replay.inputs import SAMPLES, TICK
+from autopilot.replay.inputs import SAMPLES, TICK, require_start
 
 NOTES = "/in/step"
 BYTES = "/in/mavlink"
-FIRST_TICK_US = 10_000
-"""A log whose first tick is later began while the service was running already."""
 
 
 class ServiceInputs:
@@ -34,8 +32,11 @@ class ServiceInputs:
             raise LogError(
                 f"{log.path}: has no messages on {TICK}, which replay needs; record the run with this version"
             )
-        self._topics = [TICK, *(topic for topic in (NOTES, *SAMPLES) if topic in log)]
+        # What stands below /nav/ was made of a sample by the service, which makes it again.
+        inputs = (topic for topic in (NOTES, *SAMPLES) if topic.startswith("/in/"))
+        self._topics = [TICK, *(topic for topic in inputs if topic in log)]
         log.load([*self._topics, BYTES])
+        require_start(log)
         self._tables: list[MessageTable | None] = [log[topic] if topic != NOTES else None for topic in self._topics]
         self._notes = log.messages(NOTES) if NOTES in log else []
         self._streams = _streams(log)
@@ -65,11 +66,6 @@ class ServiceInputs:
                 continue
             if tick is not None and not (yield from self._whole(tick, samples, notes, last=False)):
                 return
-            if tick is None and int(row["t_us"]) > FIRST_TICK_US:
-                raise LogError(
-                    f"{self._log.path}: begins at {1e-6 * int(row['t_us']):.2f} s, when the service was already "
-                    "running; replay needs a log from the start (--log FILE)"
-                )
             if int(row["t_us"]) <= last_us:
                 self.stopped = f"time goes back from {1e-6 * last_us:.2f} s to {1e-6 * int(row['t_us']):.2f} s"
                 return

@@ -122,3 +122,4 @@ def test_a_recorded_flight_by_gps_gives_the_same_bits(tmp_path: Path) -> None:
     assert [match.topic for match in matches(log, replay(log, read_setup(log))) if not match.same] == []
     result = replay_service(log)
     assert result.same, [str(one) for one in result.differences]
+    assert result.stopped == "" and result.ticks == len(log["/in/tick"])

@@ -17,9 +17,11 @@ from autopilot.log.reader import Log, open_log
 from autopilot.mavlink.dialect import mav
 from autopilot.replay import service_inputs as replay_service
 from autopilot.replay.service_replay import replay_service as replayed
+from autopilot.run.clocks import LockstepClock
 from autopilot.run.config import flight_settings
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_session import open_sitl
+from autopilot.run.world import World
 
 
 @pytest.mark.parametrize(
@@ -69,6 +71,7 @@ def test_signed_links_replay_without_the_key(session: OpenSession, tmp_path: Pat
     assert (sent["data"][:, 2] & 1).all()
     result = replayed(log)
     assert result.same, [str(one) for one in result.differences]
+    assert result.stopped == ""
     refused = [message.value["msg"] for message in log.messages("/rosout") if "unknown key" in message.value["msg"]]
     assert refused
     assert not any(key in data or key.hex().encode() in data for data in log.attachments.values())
@@ -153,6 +156,20 @@ def test_logs_that_cannot_be_replayed_are_named(flown: Path, tmp_path: Path) -> 
         replayed(without("service.json", b'{"format": 1}'))
     with pytest.raises(LogError, match=r"service\.json"):
         replayed(without("service.json", b"{"))
+
+
+def test_ticks_that_a_busy_machine_skipped_at_the_start_are_no_missing_start(
+    session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock runs while the service is set up: on a small computer the first tick is the eighth."""
+    made, path = LockstepClock.now_us, tmp_path / "late.mcap"
+    monkeypatch.setattr(LockstepClock, "now_us", lambda self: max(80_000, made(self)))
+    monkeypatch.setattr(World, "skips", True)
+    session(sensors="pose", duration=1.0, log=path).run()
+    log = open_log(path)
+    assert log["/in/tick"][0]["t_us"] == 80_000
+    result = replayed(log)
+    assert result.same and result.stopped == "" and result.ticks == len(log["/in/tick"])
 
 
 def test_time_that_goes_back_and_ticks_that_are_missing(flown: Path) -> None:
