@@ -6,22 +6,22 @@ vehicle's path, the surge and sway equations are (Fossen 2011, ch. 6 and 8, neut
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 
-Roll and pitch are neglected: the level frame stands for the body's planar axes. If the vertical current is a state
-(``EstimatorOptions.current_3d``) the heave equation is added; its buoyancy is taken as known.
+Thrust, drag and added mass are turned by the AHRS's roll and pitch: a BlueROV2 ahead with 10 N is 20 degrees nose up or
+down. If the vertical current is a state (``EstimatorOptions.current_3d``) the heave equation is added; its buoyancy is
+taken as known.
 """
 
 import ctypes
 import math
-import operator
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from autopilot.core.compiled import Mirror, library
-from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial
@@ -35,13 +35,12 @@ from autopilot.estimator.states import (
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
-    CURRENT_RATE_EAST,
-    CURRENT_RATE_NORTH,
+    CURRENT_RATE,
     DRAG_EXCESS,
     GYRO_BIAS,
     NX,
     THRUST_EXCESS,
-    VEL_DOWN,
+    VEL,
     VEL_EAST,
     VEL_NORTH,
     YAW,
@@ -77,7 +76,7 @@ class ModelAcceleration(Measurement):
         return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
 
 
-_INPUTS = struct.Struct("9d")
+_INPUTS = struct.Struct("13d")
 _THRUSTERS = 8
 
 
@@ -86,7 +85,8 @@ class _ModelStruct(Mirror):
 
     _fields_ = (
         ("x", ctypes.c_double * NX),
-        ("yaw_rate", ctypes.c_double),
+        ("tilt", ctypes.c_double * 2),
+        ("rate", ctypes.c_double * 3),
         ("thrust", ctypes.c_double * _THRUSTERS),
         *((name, ctypes.c_double * 4) for name in ("mass", "linear", "quadratic")),
         ("buoyancy_excess", ctypes.c_double),
@@ -149,12 +149,20 @@ class VehicleAcceleration:
             return
         self._evaluated = x, moment
         if self._compiled is None:
-            self._acceleration = expected_acceleration(self._model, self._follow, x, moment)
+            ahead, right, down, turn = expected_acceleration(self._model, self._follow, x, moment).tolist()
+            self._acceleration = ahead, right, down, turn
             self._jacobian = None
             return
         self._work[:NX] = x
+        now = moment.inertial
         _INPUTS.pack_into(
-            self._buffer, _ModelStruct.yaw_rate.offset, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none
+            self._buffer,
+            _ModelStruct.tilt.offset,
+            now.roll_rad,
+            now.pitch_rad,
+            *now.rate_frd_rad_s.tolist(),
+            *moment.thrust_n,
+            *self._none,
         )
         self._compiled(self._address)
         ahead, right, down, turn = self._work[_ACCELERATION_AT:_JACOBIAN_AT].tolist()
@@ -162,57 +170,43 @@ class VehicleAcceleration:
         self._jacobian = self._compiled_jacobian
 
 
+_STEP = 1e-30
+"""Of the derivative by a complex step: no difference is taken, so nothing cancels (Squire and Trapp 1998)."""
+
+
 def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
     """(3, 21) Jacobian of the AHRS's measurement, :func:`expected_acceleration` plus its offset."""
-    u, v, r, c, s = _relative(x, moment)
-    m11, m22 = model.mass_kg[:2]
-    lin, quad = model.linear_drag, model.quadratic_drag
-    more = 1.0 + _share(x.item(DRAG_EXCESS))
-    fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
-    cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
     jac = np.zeros((3, NX))
-    # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
-    jac[0, VEL_NORTH] = fu * c - cross_v * s
-    jac[0, VEL_EAST] = fu * s + cross_v * c
-    jac[1, VEL_NORTH] = cross_u * c - fv * s
-    jac[1, VEL_EAST] = cross_u * s + fv * c
-    jac[:2, CURRENT_NORTH] = -jac[:2, VEL_NORTH]
-    jac[:2, CURRENT_EAST] = -jac[:2, VEL_EAST]
-    k0, k1 = follow
-    gn, ge = float(x[CURRENT_RATE_NORTH]), float(x[CURRENT_RATE_EAST])
-    jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
-    jac[1, YAW] = cross_u * v - fv * u - k1 * (c * gn + s * ge)
-    jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
-    jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
-    jac[0, BIAS_AHEAD] = jac[1, BIAS_RIGHT] = 1.0
-    drag_u, drag_v = _drag(model, u, v)
-    jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
-    jac[0, THRUST_EXCESS], jac[1, THRUST_EXCESS] = _push(model, moment.thrust_n)
-    jac[0, CURRENT_RATE_NORTH], jac[0, CURRENT_RATE_EAST] = k0 * c, k0 * s
-    jac[1, CURRENT_RATE_NORTH], jac[1, CURRENT_RATE_EAST] = -k1 * s, k1 * c
-    heave = x.item(VEL_DOWN) - x.item(CURRENT_DOWN)
-    jac[2, VEL_DOWN] = -(lin[2] + quad[2] * _slope(heave)) / model.mass_kg[2]
-    jac[2, CURRENT_DOWN] = -jac[2, VEL_DOWN]
-    jac[2, BIAS_DOWN] = 1.0
+    for state in range(YAW, NX):
+        stepped = x.astype(complex)
+        stepped[state] += 1j * _STEP
+        jac[:, state] = expected_acceleration(model, follow, stepped, moment)[:3].imag / _STEP
+    jac[:, ACCEL_BIAS] = np.eye(3)
     return jac
 
 
-def expected_acceleration(
-    model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment
-) -> tuple[float, float, float, float]:
-    """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
-    u, v, r, c, s = _relative(x, moment)
-    du, dv, dw, dr = body_acceleration(model, (u, v, x.item(VEL_DOWN) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
-    gn, ge = x.item(CURRENT_RATE_NORTH), x.item(CURRENT_RATE_EAST)
-    excess, more = _share(x.item(DRAG_EXCESS)), _share(x.item(THRUST_EXCESS))
-    drag_u, drag_v = _drag(model, u, v)
-    push_u, push_v = _push(model, moment.thrust_n)
-    return (
-        du - r * v - excess * drag_u + more * push_u + follow[0] * (c * gn + s * ge),
-        dv + r * u - excess * drag_v + more * push_v + follow[1] * (c * ge - s * gn),
-        dw,
-        dr,
-    )
+def expected_acceleration(model: Model4, follow: tuple[float, float], x: Any, moment: Moment) -> Any:
+    """(4,) acceleration over ground forward, right, down in the level frame [m/s^2], of the yaw rate [rad/s^2].
+
+    ``x`` (21,) may be complex, and then the result is."""
+    now, mass, one = moment.inertial, np.array(model.mass_kg[:3]), np.array((1.0, 1.0, 0.0))
+    c, s = np.cos(x[YAW]), np.sin(x[YAW])
+    level_from_ned = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+    level_from_frd = r_ned_from_frd(np.array((now.roll_rad, now.pitch_rad, 0.0)))
+    water = np.array((x[CURRENT_NORTH], x[CURRENT_EAST], x[CURRENT_DOWN]))
+    nu = level_from_frd.T @ level_from_ned @ (x[VEL] - water)
+    rate = now.rate_frd_rad_s - np.array((0.0, 0.0, x[GYRO_BIAS]))
+    moving = np.append(nu, rate[2])
+    push = np.array(model.allocation) @ moment.thrust_n
+    drag = (model.linear_drag + model.quadratic_drag * np.sqrt(moving**2 + ABS_SMOOTHING_M2_S2)) * moving
+    stronger, excess = _share(x[THRUST_EXCESS]), _share(x[DRAG_EXCESS])
+    force = (1.0 + one * stronger) * push[:3] - (1.0 + one * excess) * drag[:3]
+    force = force - model.buoyancy_excess_n * level_from_frd[2] - np.cross(rate, mass * nu)
+    accel = level_from_frd @ (force / mass + np.cross(rate, nu))
+    change = level_from_ned[:2, :2] @ x[CURRENT_RATE]
+    m11, m22, _, m44 = model.mass_kg
+    turn = (push[3] - drag[3] + (m11 - m22) * nu[0] * nu[1]) / m44
+    return np.array((accel[0] + follow[0] * change[0], accel[1] + follow[1] * change[1], accel[2], turn))
 
 
 def idle(moment: Moment, x: FloatArray) -> bool:
@@ -221,27 +215,10 @@ def idle(moment: Moment, x: FloatArray) -> bool:
     return math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST)) < IDLE_SPEED_M_S
 
 
-def _share(excess: float) -> float:
-    """As the model uses a share of drag or thrust."""
-    return min(max(excess, LEAST_EXCESS), MOST_EXCESS)
-
-
-def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:
-    """Deceleration by the model's drag in surge and sway [m/s^2]."""
-    lin, quad = model.linear_drag, model.quadratic_drag
-    return (
-        (lin[0] + quad[0] * math.sqrt(u * u + ABS_SMOOTHING_M2_S2)) * u / model.mass_kg[0],
-        (lin[1] + quad[1] * math.sqrt(v * v + ABS_SMOOTHING_M2_S2)) * v / model.mass_kg[1],
-    )
-
-
-def _push(model: Model4, thrust_n: Sequence[float]) -> tuple[float, float]:
-    """Acceleration by the model's thrust in surge and sway [m/s^2]."""
-    surge, sway = model.allocation[:2]
-    return (
-        sum(map(operator.mul, surge, thrust_n)) / model.mass_kg[0],
-        sum(map(operator.mul, sway, thrust_n)) / model.mass_kg[1],
-    )
+def _share(excess: Any) -> Any:
+    """As the model uses a share of drag or thrust; at its ends the derivative stays, so that it can come back."""
+    within = min(max(excess.real, LEAST_EXCESS), MOST_EXCESS)
+    return within + 1j * excess.imag if np.iscomplexobj(excess) else within
 
 
 _NOISE: FloatArray = np.eye(3) * SIGMA_M_S2**2
@@ -260,20 +237,6 @@ def planar_mass_ratios(vehicle: Vehicle) -> tuple[float, float]:
     m11, m22 = vehicle.model4.mass_kg[:2]
     mass = min(vehicle.model4.dry_mass_kg, m11, m22)
     return 1.0 - mass / m11, 1.0 - mass / m22
-
-
-def _relative(x: FloatArray, moment: Moment) -> tuple[float, float, float, float, float]:
-    """u_r, v_r [m/s], yaw rate [rad/s], cos and sin of the heading."""
-    yaw = float(x[YAW])
-    c, s = math.cos(yaw), math.sin(yaw)
-    rn, re = float(x[VEL_NORTH] - x[CURRENT_NORTH]), float(x[VEL_EAST] - x[CURRENT_EAST])
-    return c * rn + s * re, c * re - s * rn, moment.inertial.yaw_rate_rad_s - float(x[GYRO_BIAS]), c, s
-
-
-def _slope(a: float) -> float:
-    """d(|a| a)/da with the model's smoothing."""
-    a2 = a * a
-    return (2.0 * a2 + ABS_SMOOTHING_M2_S2) / math.sqrt(a2 + ABS_SMOOTHING_M2_S2)
 
 
 class ModelAid(ScalarAid[Inertial]):

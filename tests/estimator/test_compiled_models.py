@@ -95,7 +95,8 @@ def model_of(rng: np.random.Generator, thrusters: int) -> Model4:
 
 
 def moment_of(rng: np.random.Generator, thrusters: int) -> Moment:
-    inertial = Inertial(0, 0.1, -0.1, 0.3, rng.normal(), (0.1, 0.2, 0.3), rng.normal(size=3), (0.0, 0.0), True)
+    roll, pitch, yaw_rate = rng.normal(size=3).tolist()
+    inertial = Inertial(0, roll, pitch, 0.3, yaw_rate, (0.1, 0.2, 0.3), rng.normal(size=3), (0.0, 0.0), True)
     return Moment(inertial, tuple((10.0 * rng.normal(size=thrusters)).tolist()))
 
 

@@ -173,14 +173,14 @@ EXPORT long kalman_update(Update *t) {
 
 typedef struct {
     double x[NX];
-    double yaw_rate, thrust[MOST_THRUSTERS];
+    double tilt[2], rate[3], thrust[MOST_THRUSTERS];        /* roll and pitch; of the gyros */
     double mass[4], linear[4], quadratic[4], buoyancy_excess, follow[2], smoothing; /* of the vehicle */
     double allocation[4][MOST_THRUSTERS];
-    double acceleration[4]; /* over ground forward, right, down; of the yaw rate */
+    double acceleration[4]; /* over ground forward, right, down in the level frame; of the yaw rate */
     double jacobian[3][NX]; /* zero but for what is written here */
 } ModelStruct;
-LAYOUT(ModelStruct, x, yaw_rate, thrust, mass, linear, quadratic, buoyancy_excess, follow, smoothing, allocation, acceleration,
-       jacobian)
+LAYOUT(ModelStruct, x, tilt, rate, thrust, mass, linear, quadratic, buoyancy_excess, follow, smoothing, allocation,
+       acceleration, jacobian)
 
 /* d(|a| a)/da, smoothed. */
 static double slope(double a, double smoothing) {
@@ -194,56 +194,94 @@ static double share(double excess) {
     return excess < -0.8 ? -0.8 : excess > 4.0 ? 4.0 : excess;
 }
 
+/* a x b */
+static void cross(const double *a, const double *b, double *out) {
+    for (int i = 0; i < 3; i++) out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+
+/* R a, or R' a. */
+static void turn(const double (*R)[3], int back, const double *a, double *out) {
+    for (int i = 0; i < 3; i++) {
+        out[i] = 0.0;
+        for (int j = 0; j < 3; j++) out[i] += (back ? R[j][i] : R[i][j]) * a[j];
+    }
+}
+
 EXPORT void model_look(ModelStruct *t) {
-    const double *x = t->x, *m = t->mass, *follow = t->follow;
+    const double *x = t->x, *m = t->mass;
     const double c = cos(x[YAW]), s = sin(x[YAW]);
+    const double cr = cos(t->tilt[0]), sr = sin(t->tilt[0]), cp = cos(t->tilt[1]), sp = sin(t->tilt[1]);
+    const double R[3][3] = {{cp, sp * sr, sp * cr}, {0.0, cr, -sr}, {-sp, cp * sr, cp * cr}}; /* level from FRD */
     const double rn = x[VEL_NORTH] - x[CURRENT_NORTH], re = x[VEL_EAST] - x[CURRENT_EAST];
-    const double u = c * rn + s * re, v = c * re - s * rn, w = x[VEL_DOWN] - x[CURRENT_DOWN];
-    const double r = t->yaw_rate - x[GYRO_BIAS], nu[4] = {u, v, w, r};
-    double force[4], drag[4];
+    const double level[3] = {c * rn + s * re, c * re - s * rn, x[VEL_DOWN] - x[CURRENT_DOWN]};
+    const double rate[3] = {t->rate[0], t->rate[1], t->rate[2] - x[GYRO_BIAS]};
+    const double excess = share(x[DRAG_EXCESS]), stronger = share(x[THRUST_EXCESS]);
+    double nu[4], momentum[3], lever[3], carried[3], accel[3], drag[3], push[3];
+    turn(R, 1, level, nu);
+    nu[3] = rate[2];
+    for (int i = 0; i < 3; i++) momentum[i] = m[i] * nu[i];
+    cross(rate, momentum, lever);
+    cross(rate, nu, carried);
+    double force[4], brake[4];
     for (int i = 0; i < 4; i++) {
         force[i] = 0.0;
         for (int j = 0; j < MOST_THRUSTERS; j++) force[i] += t->allocation[i][j] * t->thrust[j];
-        drag[i] = t->linear[i] * nu[i] + t->quadratic[i] * sqrt(nu[i] * nu[i] + t->smoothing) * nu[i];
+        brake[i] = t->linear[i] * nu[i] + t->quadratic[i] * sqrt(nu[i] * nu[i] + t->smoothing) * nu[i];
     }
+    for (int i = 0; i < 3; i++) {
+        const double planar = i < 2 ? 1.0 : 0.0; /* the shares are of surge and sway */
+        drag[i] = planar * brake[i] / m[i];
+        push[i] = planar * force[i] / m[i];
+        accel[i] = (force[i] - brake[i] - R[2][i] * t->buoyancy_excess - lever[i]) / m[i] + carried[i] - excess * drag[i]
+                   + stronger * push[i];
+    }
+    turn(R, 0, accel, t->acceleration);
     const double gn = x[CURRENT_RATE_NORTH], ge = x[CURRENT_RATE_EAST];
-    const double drag_u = drag[0] / m[0], drag_v = drag[1] / m[1], push_u = force[0] / m[0], push_v = force[1] / m[1];
-    const double du = (force[0] - drag[0] + m[1] * v * r) / m[0], dv = (force[1] - drag[1] - m[0] * u * r) / m[1];
-    const double excess = share(x[DRAG_EXCESS]), stronger = share(x[THRUST_EXCESS]);
-    t->acceleration[0] = du - r * v - excess * drag_u + stronger * push_u
-                         + follow[0] * (c * gn + s * ge);
-    t->acceleration[1] = dv + r * u - excess * drag_v + stronger * push_v
-                         + follow[1] * (c * ge - s * gn);
-    t->acceleration[2] = (force[2] - drag[2] - t->buoyancy_excess) / m[2];
-    t->acceleration[3] = (force[3] - drag[3] + (m[0] - m[1]) * u * v) / m[3];
-    const double more = 1.0 + excess;
-    const double fu = -more * (t->linear[0] + t->quadratic[0] * slope(u, t->smoothing)) / m[0];
-    const double fv = -more * (t->linear[1] + t->quadratic[1] * slope(v, t->smoothing)) / m[1];
-    const double fw = -(t->linear[2] + t->quadratic[2] * slope(w, t->smoothing)) / m[2];
-    const double by_v = m[1] / m[0] - 1.0, by_u = 1.0 - m[0] / m[1], cross_v = by_v * r, cross_u = by_u * r;
-    double *ahead = t->jacobian[0], *right = t->jacobian[1], *down = t->jacobian[2];
-    /* Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r. */
-    ahead[VEL_NORTH] = fu * c - cross_v * s;
-    ahead[VEL_EAST] = fu * s + cross_v * c;
-    right[VEL_NORTH] = cross_u * c - fv * s;
-    right[VEL_EAST] = cross_u * s + fv * c;
-    ahead[CURRENT_NORTH] = -ahead[VEL_NORTH];
-    ahead[CURRENT_EAST] = -ahead[VEL_EAST];
-    right[CURRENT_NORTH] = -right[VEL_NORTH];
-    right[CURRENT_EAST] = -right[VEL_EAST];
-    ahead[YAW] = fu * v - cross_v * u + follow[0] * (c * ge - s * gn);
-    right[YAW] = cross_u * v - fv * u - follow[1] * (c * gn + s * ge);
-    ahead[GYRO_BIAS] = -by_v * v;
-    right[GYRO_BIAS] = -by_u * u;
-    ahead[BIAS_AHEAD] = right[BIAS_RIGHT] = down[BIAS_DOWN] = 1.0;
-    ahead[DRAG_EXCESS] = -drag_u;
-    right[DRAG_EXCESS] = -drag_v;
-    ahead[THRUST_EXCESS] = push_u;
-    right[THRUST_EXCESS] = push_v;
-    ahead[CURRENT_RATE_NORTH] = follow[0] * c;
-    ahead[CURRENT_RATE_EAST] = follow[0] * s;
-    right[CURRENT_RATE_NORTH] = -follow[1] * s;
-    right[CURRENT_RATE_EAST] = follow[1] * c;
-    down[VEL_DOWN] = fw;
-    down[CURRENT_DOWN] = -fw;
+    t->acceleration[0] += t->follow[0] * (c * gn + s * ge);
+    t->acceleration[1] += t->follow[1] * (c * ge - s * gn);
+    t->acceleration[3] = (force[3] - brake[3] + (m[0] - m[1]) * nu[0] * nu[1]) / m[3];
+    /* By the velocity in the body, then in the level frame. */
+    double in_body[3][3], half[3][3], by[3][3];
+    for (int j = 0; j < 3; j++) {
+        double unit[3] = {0.0}, heavy[3] = {0.0}, less[3], more[3];
+        unit[j] = 1.0;
+        heavy[j] = m[j];
+        cross(rate, heavy, less);
+        cross(rate, unit, more);
+        for (int i = 0; i < 3; i++) in_body[i][j] = more[i] - less[i] / m[i];
+        in_body[j][j] -= (j < 2 ? 1.0 + excess : 1.0) * (t->linear[j] + t->quadratic[j] * slope(nu[j], t->smoothing)) / m[j];
+    }
+    for (int j = 0; j < 3; j++)
+        for (int i = 0; i < 3; i++) {
+            half[i][j] = 0.0;
+            for (int k = 0; k < 3; k++) half[i][j] += R[i][k] * in_body[k][j];
+        }
+    for (int i = 0; i < 3; i++) turn(R, 0, half[i], by[i]); /* row i of half R' */
+    /* By the gyro's bias: -down x (M nu) / M + down x nu. */
+    const double bias[3] = {nu[1] - m[1] * nu[1] / m[0], m[0] * nu[0] / m[1] - nu[0], 0.0};
+    double by_bias[3], by_drag[3], by_push[3];
+    turn(R, 0, bias, by_bias);
+    turn(R, 0, drag, by_drag);
+    turn(R, 0, push, by_push);
+    for (int i = 0; i < 3; i++) {
+        double *row = t->jacobian[i];
+        row[VEL_NORTH] = c * by[i][0] - s * by[i][1];
+        row[VEL_EAST] = s * by[i][0] + c * by[i][1];
+        row[VEL_DOWN] = by[i][2];
+        row[CURRENT_NORTH] = -row[VEL_NORTH];
+        row[CURRENT_EAST] = -row[VEL_EAST];
+        row[CURRENT_DOWN] = -row[VEL_DOWN];
+        row[YAW] = by[i][0] * level[1] - by[i][1] * level[0]; /* d u_r/d yaw = v_r, d v_r/d yaw = -u_r */
+        row[GYRO_BIAS] = by_bias[i];
+        row[DRAG_EXCESS] = -by_drag[i];
+        row[THRUST_EXCESS] = by_push[i];
+    }
+    double *ahead = t->jacobian[0], *right = t->jacobian[1];
+    ahead[YAW] += t->follow[0] * (c * ge - s * gn);
+    right[YAW] -= t->follow[1] * (c * gn + s * ge);
+    ahead[CURRENT_RATE_NORTH] = t->follow[0] * c;
+    ahead[CURRENT_RATE_EAST] = t->follow[0] * s;
+    right[CURRENT_RATE_NORTH] = -t->follow[1] * s;
+    right[CURRENT_RATE_EAST] = t->follow[1] * c;
+    ahead[BIAS_AHEAD] = right[BIAS_RIGHT] = t->jacobian[2][BIAS_DOWN] = 1.0;
 }
