@@ -76,8 +76,7 @@ def test_pushed_aside_and_turning_with_a_vertical_thruster_lost() -> None:
 def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
     rng, vehicle = np.random.default_rng(seed), HEAVY
     loop = AttitudeStabilizer(vehicle)
-    thrusters = vehicle.thrusters
-    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+    wrench = wrench_of(vehicle)
     limit = rng.uniform(5.0, 30.0, 8) * (np.arange(8) != rng.integers(4, 12))
     reserve = loop.reserve_n(limit)
     assert (
@@ -86,22 +85,51 @@ def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
         and not reserve[:4].any()
     )
     wanted = rng.uniform(-1.0, 1.0, 8) * (limit - reserve)
-    thrust = loop.thrust_n(wanted, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
+    thrust = loop.thrust_n(wanted, limit, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
     assert (np.abs(thrust) <= limit + 1e-9).all()
     assert np.allclose(wrench[[0, 1, 2, 5]] @ (thrust - wanted), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["lbv150", "bluerov2"])
-def test_what_cannot_be_pushed_is_left_alone(name: str) -> None:
-    vehicle = load_vehicle(name)
-    n = len(vehicle.thrusters)
-    loop, limit, wanted = AttitudeStabilizer(vehicle), np.full(n, 10.0), np.linspace(-3.0, 3.0, n)
-    turned = loop.thrust_n(wanted, limit, np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.3, 0.0]))
+def wrench_of(vehicle: Vehicle) -> FloatArray:
     thrusters = vehicle.thrusters
-    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
-    assert np.allclose(wrench[4] @ (turned - wanted), 0.0)
-    if name == "lbv150":
-        assert np.array_equal(turned, wanted) and not loop.reserve_n(limit).any()
+    return np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+
+
+def test_without_levelling_thrust_stays_as_it_is() -> None:
+    loop, limit, wanted = AttitudeStabilizer(load_vehicle("lbv150")), np.full(4, 10.0), np.linspace(-3.0, 3.0, 4)
+    turned = loop.thrust_n(wanted, limit, limit, np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.3, 0.0]))
+    assert np.array_equal(turned, wanted) and not loop.reserve_n(limit).any()
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=100)
+def test_a_tilt_that_swings_freely_is_damped_by_surge_alone_within_the_limit_and_turns_no_thruster(seed: int) -> None:
+    rng, vehicle = np.random.default_rng(seed), load_vehicle("bluerov2")
+    wanted, rates = rng.uniform(-12.0, 12.0, 6), np.array([0.0, rng.normal() * 0.5, 0.0])
+    limit, loop, level = np.full(6, 12.0), AttitudeStabilizer(vehicle), np.zeros(3)
+    more = loop.thrust_n(wanted, np.full(6, 30.0), limit, level, rates)
+    more -= loop.thrust_n(wanted, np.full(6, 30.0), limit, level, np.zeros(3))
+    _, y, z, roll, pitch, yaw = wrench_of(vehicle) @ more
+    assert np.allclose((y, z, roll, yaw), 0.0, atol=1e-9)
+    assert pitch * rates[1] <= 0.0
+    assert (np.abs(wanted + more)[:4] <= 12.0 + 1e-9).all() and (wanted * (wanted + more) >= -1e-9)[:4].all()
+
+
+def test_a_bluerov2_that_starts_ahead_hardly_swings_past_its_pitch() -> None:
+    """By so much does its pitch go on beyond the steady one; the hull's own damping is 4 % of the critical one."""
+    past_rad = []
+    for vehicle in (load_vehicle("bluerov2"), without(load_vehicle("bluerov2"))):
+        actuation, allocator = Actuation(vehicle, ParamSet()), ControlAllocator.of(vehicle)
+        plant, pitch = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0)), []
+        for tick in range(2000):
+            t_us, nav = tick * TICK_US, nav_of(plant.truth)
+            actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
+            ahead = allocator.thrust_n(np.array([6.0, 0.0, 1.0, 0.0]), actuation.limit_n)
+            plant.advance(t_us + TICK_US, actuation.command(t_us, ahead, armed=True).pwm_us[:6])
+            pitch.append(plant.truth.rpy_rad[1])
+        past_rad.append(max(np.abs(pitch)) - abs(np.mean(pitch[-250:])))
+    damped, free = past_rad
+    assert damped < 0.25 * free and free > math.radians(3.0), past_rad
 
 
 @pytest.mark.parametrize("name", ["bluerov2", "bluerov2-heavy"])

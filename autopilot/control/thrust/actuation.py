@@ -161,7 +161,7 @@ class Actuation:
             return self._command(t_us, self._pulse_n, self.allocation.neutral_us)
         if self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
-            thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
+            thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, self.command_limit_n, tilt, turning)
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.effectiveness)

@@ -7,9 +7,13 @@ feedback levels the vehicle.
 
 M = -I (w^2 angle + 2 w rate) - coupling, with inertia I and natural frequency w (critically damped). The thrust
 reserved for it (:meth:`AttitudeStabilizer.reserve_n`) is not available to the controller.
+
+A tilt that no thruster pushes alone is left to the restoring moment, which swings: the pitch of a BlueROV2, whose surge
+thrusters stand 85 mm below its centre of gravity. Its swing is damped by the same thrusters, M = -2 d I w rate.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +25,9 @@ from autopilot.core.vehicle import Vehicle
 LEVEL_RAD = math.radians(2.0)
 """Within so much of level, in roll and pitch, levelling alone turns no thruster round ..."""
 
+
+SWUNG_BY = (1, 0)
+"""Axis of force whose thrusters tilt roll and pitch: sway and surge."""
 
 MOST_TILT_RAD = math.radians(60.0)
 """Beyond this an angle counts as so much."""
@@ -38,8 +45,10 @@ class AttitudeStabilizer:
         self._rate_rad_s = 0.0 if table is None else table.natural_rad_s
         self.given = table is not None
         """Whether there is anything to do."""
-        self._patterns: dict[bytes, FloatArray] = {}
+        self._patterns: dict[bytes, _Patterns] = {}
         self._least_n = ATTITUDE_STABILISATION.least_fraction * np.array([t.limit_n for t in thrusters])
+        self._swing_rad_s = np.zeros(2)
+        """Rates of roll and pitch without the gyro's noise."""
         self._turned = np.zeros(len(thrusters))
         """Which way each turned last."""
 
@@ -51,20 +60,29 @@ class AttitudeStabilizer:
         """
         if not self.given:
             return np.zeros_like(limit_n)
-        patterns = self._patterns_for(limit_n)
+        patterns = self._patterns_for(limit_n).levelling
         levels = np.abs(patterns).max(axis=1) > 0.0
         worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)
         reserve: FloatArray = np.minimum(ATTITUDE_STABILISATION.most * limit_n, np.abs(patterns) @ worst) * levels
         return reserve
 
     def thrust_n(
-        self, wanted_n: FloatArray, limit_n: FloatArray, rpy_rad: FloatArray, rate_frd_rad_s: FloatArray
+        self,
+        wanted_n: FloatArray,
+        limit_n: FloatArray,
+        command_limit_n: FloatArray,
+        rpy_rad: FloatArray,
+        rate_frd_rad_s: FloatArray,
     ) -> FloatArray:
         """(n,) ``wanted_n`` plus the stabilising thrust, within ``limit_n`` [N]; at saturation the stabilising part is
-        scaled so that the four controlled axes are unaffected.
+        scaled so that the four controlled axes are unaffected. ``command_limit_n`` (n,) binds what damps.
         """
-        patterns = self._patterns_for(limit_n) if self.given else None
-        if patterns is None or not patterns.any():
+        if not self.given:
+            return wanted_n
+        found = self._patterns_for(limit_n)
+        wanted_n = self._damped(wanted_n, command_limit_n, found.damping, rate_frd_rad_s)
+        patterns = found.levelling
+        if not patterns.any():
             return wanted_n
         angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
         w = self._rate_rad_s
@@ -95,24 +113,57 @@ class AttitudeStabilizer:
             result = wanted_n + more_n
         return result
 
-    def _patterns_for(self, limit_n: FloatArray) -> FloatArray:
-        """(n, 2) thrust for 1 N m about roll and pitch by the available thrusters; 0 for moments that they cannot
-        produce.
-        """
-        key = (limit_n > 0.0).tobytes()
+    def _damped(
+        self, wanted_n: FloatArray, limit_n: FloatArray, patterns: FloatArray, rate_frd_rad_s: FloatArray
+    ) -> FloatArray:
+        """(n,) with the thrust that damps the tilts which swing freely; it turns no thruster round."""
+        swing = self._swing_rad_s + ATTITUDE_STABILISATION.swing_gain * (rate_frd_rad_s[:2] - self._swing_rad_s)
+        if not np.isfinite(swing).all():
+            return wanted_n
+        self._swing_rad_s = swing
+        damping = 2.0 * ATTITUDE_STABILISATION.damping * self._rate_rad_s * self._inertia
+        more: FloatArray = patterns @ (-damping * swing)
+        used = np.abs(more) > ATTITUDE_STABILISATION.small
+        if not used.any():
+            return wanted_n
+        opposed = wanted_n * more < 0.0
+        room = np.where(opposed, np.abs(wanted_n), np.maximum(0.0, limit_n - np.abs(wanted_n)))[used]
+        result: FloatArray = wanted_n + min(1.0, float((room / np.abs(more)[used]).min())) * more
+        return result
+
+    def _patterns_for(self, limit_n: FloatArray) -> "_Patterns":
+        """Of the thrusters that can push."""
+        alive = limit_n > 0.0
+        key = alive.tobytes()
         if key not in self._patterns:
-            self._patterns[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
+            self._patterns[key] = self._found(alive)
         return self._patterns[key]
 
-    def _found(self, alive: np.ndarray) -> FloatArray:
-        """Least-squares solution; a tilt that needs force in another axis is not controlled."""
-        patterns = np.zeros((len(alive), 2))
+    def _found(self, alive: np.ndarray) -> "_Patterns":
+        """Least-squares solutions."""
+        levelling, damping = np.zeros((len(alive), 2)), np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
-        inverse = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)
+        both = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)
+        forces = np.linalg.pinv(pushed[:4], rcond=ATTITUDE_STABILISATION.small)
         for tilt in range(2):
-            pattern = inverse[:, 4 + tilt] * alive
-            effect = pushed @ pattern
-            effect[4 + tilt] -= 1.0
-            if float(np.abs(effect).max()) < 1e-3:
-                patterns[:, tilt] = np.where(np.abs(pattern) > ATTITUDE_STABILISATION.small, pattern, 0.0)
-        return patterns
+            pattern, effect = both[:, 4 + tilt] * alive, np.eye(6)[4 + tilt]
+            if float(np.abs(pushed @ pattern - effect).max()) < 1e-3:
+                levelling[:, tilt] = pattern
+                continue
+            axis = SWUNG_BY[tilt]
+            force = forces[:, axis] * alive
+            lever_m = float(pushed[4 + tilt] @ force)
+            whole = float(np.abs(pushed[:4] @ force - np.eye(4)[axis]).max()) < 1e-3
+            if whole and abs(lever_m) > ATTITUDE_STABILISATION.least_lever_m:
+                damping[:, tilt] = force / lever_m
+        small = ATTITUDE_STABILISATION.small
+        return _Patterns(*(np.where(np.abs(one) > small, one, 0.0) for one in (levelling, damping)))
+
+
+class _Patterns(NamedTuple):
+    """(n, 2) thrust for 1 N m about roll and pitch by the available thrusters, 0 where they cannot."""
+
+    levelling: FloatArray
+    """Without force or yaw moment."""
+    damping: FloatArray
+    """By sway and surge, for tilts without the other."""

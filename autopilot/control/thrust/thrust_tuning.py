@@ -37,6 +37,12 @@ class AttitudeStabilisationTuning:
     """At most this share of a thruster's limit is kept for levelling."""
     small: float = 1e-6
     """Less than this of a newton per newton metre is rounding."""
+    damping: float = 0.45
+    """Of the critical one, for a tilt that swings freely: more reverses thrusters oftener, and swings no less."""
+    swing_gain: float = 0.1
+    """Of a new rate in the mean by which it is damped, per tick: 0.1 s, less than a twentieth of a swing."""
+    least_lever_m: float = 0.03
+    """Thrusters nearer to the centre of gravity swing it little, and would have to push hard."""
     least_fraction: float = 0.0125
     """... for less than this share of its limit (0.4 N of 34 N): it would run to and fro with the noise of rates and of
     the controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
