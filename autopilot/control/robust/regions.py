@@ -83,8 +83,6 @@ class TerminalRegions(NoticeQueue):
         decrease is also verified.
         """
         self._step += 1
-        if self.certificate is not None and self.certificate.alpha <= 0.0:
-            self._warn(goal, self.certificate, away_m)
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
         place, current = goal.pos_ned_m.tolist(), current_ned_m_s.tolist()
         key = (place, yaw, goal.accept_radius_m, clearance_m, q.tobytes(), r.tobytes(), sampled)
@@ -104,6 +102,8 @@ class TerminalRegions(NoticeQueue):
                 model=self._allocator.model, law=self.law, goal=goal, limits=terminal_limits, sampled=sampled
             )
             self._task = self._worker.submit(self._step + REGIONS.answer_steps, _certified, request)
+        if self.certificate is not None and self.certificate.alpha <= 0.0:
+            self._warn(goal, self.certificate, away_m)
         answer = None if self._task is None else self._task.poll(self._step)
         if answer is None:
             return
