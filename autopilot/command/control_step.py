@@ -175,7 +175,7 @@ class ControlStep:
 
 def model_state(nav: NavState) -> FloatArray:
     """The estimate as a state (8,) of :mod:`autopilot.core.model4`."""
-    x = np.empty(NX)
+    x, nav = np.empty(NX), nav.in_level_frame()
     x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
     x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
     return x

@@ -222,7 +222,7 @@ class MotionController:
             self.margins.water_speed.reset()
         self._last_us, self._limit_n = t_us, limit_n
         self._follow_lag(t_us)
-        nav = self._forecast.view(nav)
+        nav = self._forecast.view(nav).in_level_frame()
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or delay_s is None:
             return self._neutral(t_us, nav, began)
@@ -313,7 +313,7 @@ class MotionController:
         self._follow_lag(t_us)
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
             return None
-        nav = self._forecast.view(nav)
+        nav = self._forecast.view(nav).in_level_frame()
         x, current = self._state(nav), nav.current_ned_m_s
         x0 = self._lag.ahead(x, current) if _all_finite(x, current) else None
         finite = x0 is not None and _all_finite(x0)

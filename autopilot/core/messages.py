@@ -5,14 +5,15 @@ name ends with its unit and contains its frame (``ned``, ``frd``); its comment g
 absent is None. Sensor samples: :mod:`autopilot.core.samples`.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
 import numpy as np
 
 from autopilot.core.clients import EVERYONE, Reach
-from autopilot.core.frames import FloatArray
+from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
 from autopilot.core.nondeterminism import Note
@@ -217,6 +218,20 @@ class NavState:
     """Grows by one when position or yaw jump."""
     doubts: frozenset[NavDoubt] = frozenset()
     """Findings against the estimate or its sensors."""
+
+    def in_level_frame(self) -> "NavState":
+        """The same motion of a vehicle without roll and pitch, as the 4-DoF model knows it: of one that goes ahead nose
+        up, no part of the velocity is heave."""
+        roll, pitch, yaw = self.rpy_rad.tolist()
+        if not math.isfinite(roll + pitch):
+            return self
+        r_level_from_frd = r_ned_from_frd(np.array((roll, pitch, 0.0)))
+        return replace(
+            self,
+            rpy_rad=np.array((0.0, 0.0, yaw)),
+            vel_frd_m_s=r_level_from_frd @ self.vel_frd_m_s,
+            vel_water_frd_m_s=r_level_from_frd @ self.vel_water_frd_m_s,
+        )
 
 
 class AidState(IntEnum):

@@ -13,7 +13,7 @@ from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.attitude_stabilisation import AttitudeStabilizer
 from autopilot.control.thrust.thrust_tuning import ATTITUDE_STABILISATION
 from autopilot.core.control_allocator import ControlAllocator
-from autopilot.core.frames import FloatArray
+from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.thrusters import wrench_matrix
@@ -28,6 +28,9 @@ TICK_US = 10_000
 
 def without(vehicle: Vehicle) -> Vehicle:
     return msgspec.structs.replace(vehicle, levelling=None)
+
+
+BOTH = (load_vehicle("bluerov2"), without(load_vehicle("bluerov2")))
 
 
 def nav_of(truth: Truth) -> NavState:
@@ -85,7 +88,7 @@ def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
         and not reserve[:4].any()
     )
     wanted = rng.uniform(-1.0, 1.0, 8) * (limit - reserve)
-    thrust = loop.thrust_n(wanted, limit, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
+    thrust = loop.thrust_n(wanted, limit, limit, np.zeros(3), rng.normal(size=3) * 0.5)
     assert (np.abs(thrust) <= limit + 1e-9).all()
     assert np.allclose(wrench[[0, 1, 2, 5]] @ (thrust - wanted), 0.0, atol=1e-9)
 
@@ -115,10 +118,28 @@ def test_a_tilt_that_swings_freely_is_damped_by_surge_alone_within_the_limit_and
     assert (np.abs(wanted + more)[:4] <= 12.0 + 1e-9).all() and (wanted * (wanted + more) >= -1e-9)[:4].all()
 
 
+@given(st.integers(0, 10_000))
+@settings(max_examples=100)
+def test_a_tilted_vehicle_is_pushed_as_a_level_one(seed: int) -> None:
+    rng, vehicle = np.random.default_rng(seed), load_vehicle("bluerov2")
+    tilt, limit, loop = rng.uniform(-0.5, 0.5, 3), np.full(6, 1e3), AttitudeStabilizer(vehicle)
+    force, turned = np.array([*rng.normal(size=3) * 5.0, rng.normal()]), r_ned_from_frd(np.array([*tilt[:2], 0.0]))
+    thrust = loop.thrust_n(ControlAllocator.of(vehicle).thrust_n(force, limit), limit, limit, tilt, np.zeros(3))
+    pushed = wrench_of(vehicle) @ thrust
+    assert np.allclose(turned @ pushed[:3], force[:3]) and pushed[5] == pytest.approx(force[3])
+
+
+def test_a_bluerov2_that_goes_ahead_nose_up_keeps_its_depth() -> None:
+    rose_m = [
+        abs(float(tilts(vehicle, np.array([6.0, 0.0, 1.0, 0.0]), 12.0)[1].pos_ned_m[2]) - 20.0) for vehicle in BOTH
+    ]
+    assert rose_m[0] < 0.3 * rose_m[1], rose_m
+
+
 def test_a_bluerov2_that_starts_ahead_hardly_swings_past_its_pitch() -> None:
     """By so much does its pitch go on beyond the steady one; the hull's own damping is 4 % of the critical one."""
     past_rad = []
-    for vehicle in (load_vehicle("bluerov2"), without(load_vehicle("bluerov2"))):
+    for vehicle in BOTH:
         actuation, allocator = Actuation(vehicle, ParamSet()), ControlAllocator.of(vehicle)
         plant, pitch = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0)), []
         for tick in range(2000):

@@ -9,7 +9,8 @@ M = -I (w^2 angle + 2 w rate) - coupling, with inertia I and natural frequency w
 reserved for it (:meth:`AttitudeStabilizer.reserve_n`) is not available to the controller.
 
 A tilt that no thruster pushes alone is left to the restoring moment, which swings: the pitch of a BlueROV2, whose surge
-thrusters stand 85 mm below its centre of gravity. Its swing is damped by the same thrusters, M = -2 d I w rate.
+thrusters stand 85 mm below its centre of gravity. Its swing is damped by the same thrusters, M = -2 d I w rate. What
+tilt is left turns the thrust: the force that the controller wants in the level frame is turned into the body.
 """
 
 import math
@@ -18,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.control.thrust.thrust_tuning import ATTITUDE_STABILISATION
-from autopilot.core.frames import FloatArray
+from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
@@ -80,6 +81,7 @@ class AttitudeStabilizer:
         if not self.given:
             return wanted_n
         found = self._patterns_for(limit_n)
+        wanted_n = self._upright(wanted_n, limit_n, found.forces, rpy_rad)
         wanted_n = self._damped(wanted_n, command_limit_n, found.damping, rate_frd_rad_s)
         patterns = found.levelling
         if not patterns.any():
@@ -88,11 +90,9 @@ class AttitudeStabilizer:
         w = self._rate_rad_s
         moment = -self._inertia * (w * w * angle + 2.0 * w * rate_frd_rad_s[:2]) - self._tilt @ wanted_n
         more = patterns @ moment
-        used = np.abs(more) > ATTITUDE_STABILISATION.small
-        if not used.any() or not np.isfinite(more).all():
+        fraction = _fraction(more, limit_n - wanted_n * np.sign(more))
+        if fraction == 0.0:
             return wanted_n
-        capacity = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
-        fraction = min(1.0, max(0.0, float(capacity.min())))
         result: FloatArray = wanted_n + fraction * more
         if float(np.abs(angle * patterns.any(axis=0)).max()) < LEVEL_RAD:
             result = self._unturned(wanted_n, fraction * more, result)
@@ -113,6 +113,16 @@ class AttitudeStabilizer:
             result = wanted_n + more_n
         return result
 
+    def _upright(
+        self, wanted_n: FloatArray, limit_n: FloatArray, forces: FloatArray, rpy_rad: FloatArray
+    ) -> FloatArray:
+        """(n,) with which the tilted vehicle is pushed as ``wanted_n`` pushes a level one."""
+        roll, pitch = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
+        force = self._controlled[:3] @ wanted_n
+        more: FloatArray = forces @ (r_ned_from_frd(np.array((roll, pitch, 0.0))).T @ force - force)
+        fraction = _fraction(more, limit_n - wanted_n * np.sign(more))
+        return wanted_n + fraction * more if fraction else wanted_n
+
     def _damped(
         self, wanted_n: FloatArray, limit_n: FloatArray, patterns: FloatArray, rate_frd_rad_s: FloatArray
     ) -> FloatArray:
@@ -123,13 +133,9 @@ class AttitudeStabilizer:
         self._swing_rad_s = swing
         damping = 2.0 * ATTITUDE_STABILISATION.damping * self._rate_rad_s * self._inertia
         more: FloatArray = patterns @ (-damping * swing)
-        used = np.abs(more) > ATTITUDE_STABILISATION.small
-        if not used.any():
-            return wanted_n
         opposed = wanted_n * more < 0.0
-        room = np.where(opposed, np.abs(wanted_n), np.maximum(0.0, limit_n - np.abs(wanted_n)))[used]
-        result: FloatArray = wanted_n + min(1.0, float((room / np.abs(more)[used]).min())) * more
-        return result
+        fraction = _fraction(more, np.where(opposed, np.abs(wanted_n), limit_n - np.abs(wanted_n)))
+        return wanted_n + fraction * more if fraction else wanted_n
 
     def _patterns_for(self, limit_n: FloatArray) -> "_Patterns":
         """Of the thrusters that can push."""
@@ -140,24 +146,32 @@ class AttitudeStabilizer:
         return self._patterns[key]
 
     def _found(self, alive: np.ndarray) -> "_Patterns":
-        """Least-squares solutions."""
+        """Least-squares solutions, of forces only if every axis can be pushed."""
         levelling, damping = np.zeros((len(alive), 2)), np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
         both = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)
-        forces = np.linalg.pinv(pushed[:4], rcond=ATTITUDE_STABILISATION.small)
+        forces = np.linalg.pinv(pushed[:4], rcond=ATTITUDE_STABILISATION.small) * alive[:, None]
+        if float(np.abs(pushed[:4] @ forces - np.eye(4)).max()) > 1e-3:
+            forces[:] = 0.0
         for tilt in range(2):
             pattern, effect = both[:, 4 + tilt] * alive, np.eye(6)[4 + tilt]
             if float(np.abs(pushed @ pattern - effect).max()) < 1e-3:
                 levelling[:, tilt] = pattern
                 continue
-            axis = SWUNG_BY[tilt]
-            force = forces[:, axis] * alive
+            force = forces[:, SWUNG_BY[tilt]]
             lever_m = float(pushed[4 + tilt] @ force)
-            whole = float(np.abs(pushed[:4] @ force - np.eye(4)[axis]).max()) < 1e-3
-            if whole and abs(lever_m) > ATTITUDE_STABILISATION.least_lever_m:
+            if abs(lever_m) > ATTITUDE_STABILISATION.least_lever_m:
                 damping[:, tilt] = force / lever_m
         small = ATTITUDE_STABILISATION.small
-        return _Patterns(*(np.where(np.abs(one) > small, one, 0.0) for one in (levelling, damping)))
+        return _Patterns(*(np.where(np.abs(one) > small, one, 0.0) for one in (levelling, damping, forces[:, :3])))
+
+
+def _fraction(more_n: FloatArray, room_n: FloatArray) -> float:
+    """Share of ``more_n`` (n,) for which there is room (n,)."""
+    used = np.abs(more_n) > ATTITUDE_STABILISATION.small
+    if not used.any() or not np.isfinite(more_n).all():
+        return 0.0
+    return min(1.0, max(0.0, float((room_n[used] / np.abs(more_n)[used]).min())))
 
 
 class _Patterns(NamedTuple):
@@ -167,3 +181,5 @@ class _Patterns(NamedTuple):
     """Without force or yaw moment."""
     damping: FloatArray
     """By sway and surge, for tilts without the other."""
+    forces: FloatArray
+    """(n, 3) for 1 N of surge, sway and heave."""
