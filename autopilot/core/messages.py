@@ -223,7 +223,7 @@ class NavState:
         """The same motion of a vehicle without roll and pitch, as the 4-DoF model knows it: of one that goes ahead nose
         up, no part of the velocity is heave."""
         roll, pitch, yaw = self.rpy_rad.tolist()
-        if not math.isfinite(roll + pitch):
+        if not math.isfinite(roll + pitch + sum(self.vel_frd_m_s.tolist()) + sum(self.vel_water_frd_m_s.tolist())):
             return self
         r_level_from_frd = r_ned_from_frd(np.array((roll, pitch, 0.0)))
         return replace(
