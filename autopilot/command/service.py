@@ -496,9 +496,11 @@ class Autopilot:
         )
 
     def _allocate(self, tick: TickState) -> None:
-        assert tick.decision is not None
-        thrust_n = self._motion.thrust_n
-        tick.command = self._actuation.command(tick.inputs.t_us, thrust_n, armed=tick.decision.armed)
+        decision = tick.decision
+        assert decision is not None
+        tick.command = self._actuation.command(
+            tick.inputs.t_us, self._motion.thrust_n, armed=decision.armed, levels=decision.motor_test is None
+        )
 
     def _neutral_after_fault(self, tick: TickState) -> None:
         """Neutral when pulses could not be made, or when something that failed has disarmed."""

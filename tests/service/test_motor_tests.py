@@ -1,11 +1,16 @@
 """DO_MOTOR_TEST through the whole service: what it turns, for how long, and what it is refused for."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from piloted_world import HOLD, MANUAL, PilotedWorld
 from pymavlink.dialects.v20 import development as mav
+from service_world import ServiceWorld
+
+from autopilot.core.frames import r_ned_from_frd
+from autopilot.core.samples import AhrsSample, Sample
 
 TEST = mav.MAV_CMD_DO_MOTOR_TEST
 PERCENT, PULSE = 0, 1
@@ -142,3 +147,34 @@ def test_who_is_not_in_control_turns_nothing() -> None:
     assert ordered(world, 1, PERCENT, 70.0, 1.0) == 10
     world._mav = mine
     assert max(abs(now[0]) for now in offsets(world, 0.5)) < 60
+
+
+class HeavyInABucket(ServiceWorld):
+    """Held askew, and swayed."""
+
+    vehicle_name = "bluerov2-heavy"
+
+    def samples(self) -> tuple[Sample, ...]:
+        first, *others = super().samples()
+        assert isinstance(first, AhrsSample)
+        tilt, sway = np.array([0.25, -0.2, 0.0]), 0.1 * np.sin(self.t_us * 2e-6)
+        tilted = r_ned_from_frd(tilt).T @ np.array([0.0, 0.0, -9.81])
+        rate = first.rate_frd_rad_s + np.array([0.0, sway, 0.0])
+        return (replace(first, rpy_rad=first.rpy_rad + tilt, rate_frd_rad_s=rate, accel_frd_m_s2=tilted), *others)
+
+
+def test_nothing_but_the_motor_turns_though_the_vehicle_is_held_askew() -> None:
+    """Levelling would turn those that push up: whoever tests a motor has a hand at the others."""
+    world = HeavyInABucket()
+    world.run(1.5)
+    assert world.command(mav.MAV_CMD_DO_SET_MODE, 1.0, float(MANUAL >> 16 & 0xFF)) == 0
+    assert world.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == 0, world.texts()
+    world.run(0.3)
+    for place in range(8):
+        assert world.command(TEST, place + 1, PERCENT, 60.0, 0.6) == 0, world.texts()
+        for _ in range(40):
+            pulses = [pulse - 1500 for pulse in world.tick().command.pwm_us]
+            assert not any(pulses[:place] + pulses[place + 1 :]), pulses
+        assert pulses[place]
+        world._mav.seq += 1
+        world.run(1.0)

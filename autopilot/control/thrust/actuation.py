@@ -153,13 +153,13 @@ class Actuation:
         up[np.abs(up) < NO_LIFT * most] = 0.0
         return up * (limit_n / most)
 
-    def command(self, t_us: int, thrust_n: FloatArray, *, armed: bool) -> ThrusterCommand:
-        """Pulses for thrust (n,), with that which levels the vehicle; neutral ones while disarmed. ValueError if it is
-        not finite: no thruster turns for a command of which one part is no number."""
+    def command(self, t_us: int, thrust_n: FloatArray, *, armed: bool, levels: bool = True) -> ThrusterCommand:
+        """Pulses for thrust (n,), with that which ``levels`` the vehicle; neutral ones while disarmed. ValueError if
+        it is not finite: no thruster turns for a command of which one part is no number."""
         if not armed:
             self._pulse_n = self.nothing()
             return self._command(t_us, self._pulse_n, self.allocation.neutral_us)
-        if self._nav is not None and self._levelling.given:
+        if levels and self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
             thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, self.command_limit_n, tilt, turning)
         if not all(map(math.isfinite, thrust_n.tolist())):
