@@ -13,7 +13,7 @@ def test_high_drag_makes_the_margin_smaller_and_the_bound_holds() -> None:
     tables["params"] = {"DEPTH_MAX": tables["params"]["DEPTH_MAX"], "MPC_COST": 0.0}
     points = [WaypointTable(x_m=x, y_m=y, depth_m=DEPTH_M, accept_m=0.3) for x, y in ((4.0, 0.0), (0.0, 0.0))]
     flight = flown(0, "uniform", tables, points, cutoff_s=22.0)
-    assert flight.kept and flight.top_m_s > 0.35
+    assert flight.kept and flight.top_m_s > 0.3
     assert flight.known > 0.1 and flight.least_margin_m_s < 0.06
 
 
