@@ -148,7 +148,9 @@ class ControlStep:
         wanted = np.zeros(NX)
         wanted[:3], wanted[YAW] = place[:3], place[3]
         limit_n = self._actuation.command_limit_n
-        thrust_n = station_keeping_thrust(self._allocator, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
+        thrust_n = station_keeping_thrust(
+            self._allocator, nav.in_level_frame().model4_state(), wanted, nav.current_ned_m_s, limit_n
+        )
         return thrust_n if np.isfinite(thrust_n).all() else self._actuation.nothing()
 
     def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
@@ -171,14 +173,6 @@ class ControlStep:
         self.ahead = control.nominal if len(control.nominal) else None
         self.path_left_m = _length_m(control.route_ned_m)
         return control
-
-
-def model_state(nav: NavState) -> FloatArray:
-    """The estimate as a state (8,) of :mod:`autopilot.core.model4`."""
-    x, nav = np.empty(NX), nav.in_level_frame()
-    x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
-    x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
-    return x
 
 
 def _length_m(route: FloatArray) -> float | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.command.command_tuning import FAULT_RESPONSE
 from autopilot.command.commander import Commander
-from autopilot.command.control_step import ControlStep, model_state
+from autopilot.command.control_step import ControlStep
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core import operator_messages as notices
 from autopilot.core.control_allocator import ControlAllocator
@@ -133,7 +133,7 @@ class FaultResponse:
         since_us = t_us if self._since_us is None else self._since_us
         if nav is None or nav.health is NavHealth.INVALID or t_us - since_us >= self._params["FS_FAULT_TIME"] * 1e6:
             return np.zeros(len(limit_n))
-        x = model_state(nav)
+        x = nav.in_level_frame().model4_state()
         current = nav.current_ned_m_s
         if not math.isfinite(float(x.sum() + current.sum())):
             return np.zeros(len(limit_n))

@@ -383,11 +383,11 @@ class MotionController:
         self._lag.trim(self._lift.excess_n)
 
     def _state(self, nav: NavState) -> FloatArray:
-        yaw = float(nav.rpy_rad[2])
+        x = nav.model4_state()
+        yaw = x.item(YAW)
         if abs(yaw) < NO_STATE:
-            self._yaw_rad = yaw = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
-        velocity = nav.vel_water_frd_m_s.tolist()
-        return np.array([*nav.pos_ned_m.tolist(), yaw, *velocity, nav.rate_frd_rad_s.item(2)])
+            x[YAW] = self._yaw_rad = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
+        return x
 
     def _planner_for(self, fence: Fence, radius: float) -> Planner:
         """The planner of this fence; another one when fence or margin have changed."""

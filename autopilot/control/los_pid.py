@@ -104,7 +104,7 @@ class LosPid(Controller):
         delay_s: float | None,
     ) -> ControlOutput:
         nav = self._given.currents.view(nav).in_level_frame()
-        x = np.array([*nav.pos_ned_m, nav.rpy_rad[2], *nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]])
+        x = nav.model4_state()
         known = nav.health is not NavHealth.INVALID and bool(np.isfinite([*x, *nav.current_ned_m_s]).all())
         if not known or delay_s is None or nav.reset_count != self._estimate:
             self.reset()

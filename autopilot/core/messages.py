@@ -233,6 +233,11 @@ class NavState:
             vel_water_frd_m_s=r_level_from_frd @ self.vel_water_frd_m_s,
         )
 
+    def model4_state(self) -> FloatArray:
+        """State (8,) of :mod:`autopilot.core.model4`, of an estimate that is in the level frame."""
+        velocity = self.vel_water_frd_m_s.tolist()
+        return np.array([*self.pos_ned_m.tolist(), self.rpy_rad.item(2), *velocity, self.rate_frd_rad_s.item(2)])
+
 
 class AidState(IntEnum):
     """Life cycle of one aiding source."""

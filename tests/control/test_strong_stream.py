@@ -70,10 +70,10 @@ def test_beyond_the_limit_only_where_a_boundary_is_near() -> None:
     [
         (0.39, goal(3.0, 0.0, 0.0, None), ""),
         (0.39, goal(3.0, 0.0, 0.0, math.pi / 2), "heading needs 89 % of the thrust"),
-        (0.49, goal(3.0, 0.0, 0.0, None), "current 0.49 m/s, 0.47 can be made, 0.03 missing"),
-        (0.49, goal(0.0, 3.0, 0.0, None), "current 0.49 m/s, 0.47 can be made, 0.02 missing"),
+        (0.49, goal(3.0, 0.0, 0.0, None), "needs 0.03 m/s more"),
+        (0.49, goal(0.0, 3.0, 0.0, None), "needs 0.02 m/s more"),
         (0.49, goal(-3.0, 0.0, 0.0, None), ""),
-        (0.49, goal(0.1, 0.0, 0.0, None), "current 0.49 m/s, 0.47 can be made, 0.02 missing"),
+        (0.49, goal(0.1, 0.0, 0.0, None), "needs 0.02 m/s more"),
     ],
 )
 def test_what_is_missing_is_said(speed: float, to: Goal, text: str) -> None:

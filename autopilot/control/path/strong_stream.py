@@ -81,8 +81,7 @@ class StrongStream:
         missing_m_s = needed_m_s - self.can_m_s
         if missing_m_s <= 0.0:
             return ""
-        missing_m_s = 0.01 * math.ceil(100.0 * missing_m_s)
-        return f"current {current_m_s:.2f} m/s, {self.can_m_s:.2f} can be made, {missing_m_s:.2f} missing"
+        return f"needs {0.01 * math.ceil(100.0 * missing_m_s):.2f} m/s more"
 
     def _near(self, here: FloatArray, planner: Planner) -> float:
         """0 to 1: how near boundaries are, here and a little downstream."""
