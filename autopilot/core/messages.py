@@ -470,7 +470,7 @@ class ControlOutput:
     nominal_t_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) times of ``nominal`` after ``status.t_us``: the plan begins one thruster lag ahead."""
     tube_m: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) horizontal radius of the tube about ``nominal``, by which the constraints are tightened."""
+    """(n,) horizontal radius of the tube about ``horizon_ned_m``, by which the constraints are tightened."""
     plan: EnergyPlan | None = None
     """On the step on which one came into force."""
     restarted: bool = False

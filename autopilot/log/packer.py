@@ -20,7 +20,7 @@ from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
 from autopilot.log.packing import programs, sensor_records, step_notes
 from autopilot.log.packing.records import Pack, pack_record
-from autopilot.log.record_table import TruthLike
+from autopilot.log.record_table import MAX_NODES, TruthLike
 from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import Payload
@@ -322,6 +322,8 @@ class Packer:
         if len(after_s) != len(places):
             after_s = []
         self._sink.write("/ctl/horizon", t_us, partial(visuals.path, stamp_ns, places, after_s))
+        if 0 < len(control.tube_m) == len(places) <= MAX_NODES:
+            self._record("/ctl/tube", t_us, control)
         depth = 0.0 if outputs.nav is None else float(outputs.nav.pos_ned_m[2])
         route = [(north, east, depth) for north, east in control.route_ned_m.tolist()]
         self._sink.write("/ctl/route", t_us, partial(visuals.path, stamp_ns, route))

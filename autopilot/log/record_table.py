@@ -37,6 +37,9 @@ from autopilot.log.packing.record_values import (
 )
 from autopilot.log.sample_table import MessageRow
 
+MAX_NODES = 81
+"""Places of a prediction whose tube is logged: those of 80 uniform intervals."""
+
 
 class TruthLike(Protocol):
     """Ground truth of the simulated vehicle: shapes and frames as in ``autopilot_msgs/VehicleState``."""
@@ -269,6 +272,15 @@ float64 speed_margin_m_s  # of the planar speed; negative where drag is higher t
 float64 drag_excess  # logarithm of drag over thrust, relative to the vehicle file
 float64 drag_excess_sigma  # its standard deviation
 """,
+    ),
+    RecordRow(
+        type="Tube",
+        topics=("/ctl/tube",),
+        frame="ned",
+        fields=f"""
+float32[{MAX_NODES}] radius_m  # horizontal, about each place of /ctl/horizon
+""",
+        put={"radius_m": lambda control: padded(control.tube_m, MAX_NODES)},
     ),
     RecordRow(
         of=ThrusterCommand,

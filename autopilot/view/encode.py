@@ -303,7 +303,7 @@ def _control(snapshot: TickSnapshot) -> Control | None:
         return None
     if plan is not None and (goal is None or plan.seq != goal.seq):
         plan = None  # of the goal before
-    status, tubed = control.status, 0 < len(control.nominal) == len(control.tube_m)
+    status, tubed = control.status, len(control.horizon_ned_m) == len(control.tube_m)
     return Control(
         status=status.status.name,
         fallback=status.fallback.name,
@@ -315,7 +315,7 @@ def _control(snapshot: TickSnapshot) -> Control | None:
         margin_m=_number(status.margin_m),
         tube_now_m=_number(status.tube_m),
         penalty_use=_number(status.penalty_use),
-        horizon_ned_m=tuple(_point3(place) for place in (control.nominal[:, :3] if tubed else control.horizon_ned_m)),
+        horizon_ned_m=tuple(_point3(place) for place in control.horizon_ned_m),
         route_ned_m=tuple(_point2(place) for place in control.route_ned_m),
         tube_m=_numbers(control.tube_m) if tubed else (),
         eta_s=None if plan is None else _number(plan.eta_s),

@@ -322,6 +322,7 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         status=status,
         horizon_ned_m=horizon,
         route_ned_m=VIA[:, :2],
+        tube_m=np.linspace(0.02, 0.06, 5),
         plan=EnergyPlan(seq=1, eta_s=10.5, energy_j=180.0, trajectory_s=10.5, late=0)
         if t_us % 1_000_000 == 0
         else None,

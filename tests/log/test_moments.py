@@ -144,6 +144,7 @@ def test_frames_hold_what_the_log_holds(tmp_path: Path) -> None:
     command = log["/out/thrusters"]
     assert frame.thrust_n == pytest.approx(command[command["t_us"] <= round(1e6 * t_s)][-1]["thrust_n"][:4], abs=1e-4)
     assert frame.control is not None and len(frame.control.horizon_ned_m) > 2
+    assert frame.control.tube_m == pytest.approx(np.linspace(0.02, 0.06, 5), abs=1e-4)
     assert 0 <= frame.control.age_s < 2 and frame.battery is not None and len(frame.solids) == 2
     goal = log["/ctl/goal"]
     assert frame.goal.pos_ned_m == pytest.approx(goal[goal["t_us"] <= round(1e6 * t_s)][-1]["pos_ned_m"], abs=1e-4)

@@ -263,7 +263,7 @@ def test_rates_and_changes(tmp_path: Path) -> None:
     assert read["/sys/mode"]["t_us"].tolist() == [0, 1_000_000, 2_000_000, 3_000_000]
     counts = {topic: read.topics[topic].count for topic in read.topics}
     assert counts["/sim/truth"] == counts["/nav/state"] == counts["/in/tick"] == counts["/in/ahrs_raw"] == 301
-    assert counts["/nav/covariance"] == counts["/ctl/horizon"] == counts["/viz/truth"] == 31
+    assert counts["/nav/covariance"] == counts["/ctl/horizon"] == counts["/ctl/tube"] == counts["/viz/truth"] == 31
     assert counts["/viz/tf"] == 62
     assert counts["/viz/markers"] == 4
     assert read.messages("/rosout")[-1].value["level"] == 50
