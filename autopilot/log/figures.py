@@ -42,6 +42,9 @@ BANDS: dict[str, Callable[[Sequence[FigureScene]], Figure | None]] = {
 }
 """The same as median and spread."""
 
+FONT = "STIXGeneral"
+"""Looks like Times, which both publishers take, and comes with matplotlib."""
+
 
 @dataclass(frozen=True, slots=True)
 class Paper:
@@ -49,14 +52,13 @@ class Paper:
 
     widths_in: tuple[float, float]
     """Of one column of text, and of two."""
-    font: str
     size_pt: float
 
     def style(self, columns: int) -> dict[str, Any]:
         sizes = ("font.size", "axes.labelsize", "axes.titlesize", "xtick.labelsize", "ytick.labelsize")
         return {
             **dict.fromkeys((*sizes, "legend.fontsize"), self.size_pt),
-            "font.family": self.font,
+            "font.family": FONT,
             "mathtext.fontset": "stix",
             "figure.figsize": (self.widths_in[columns - 1], 4.0),
             "savefig.dpi": PAPER_DPI,
@@ -64,8 +66,8 @@ class Paper:
 
 
 PAPERS = {
-    "ieee": Paper((3.5, 7.16), "STIXGeneral", 8.0),
-    "elsevier": Paper((3.54, 7.48), "DejaVu Sans", 7.0),
+    "ieee": Paper((3.5, 7.16), 8.0),
+    "elsevier": Paper((3.54, 7.48), 7.0),
 }
 
 
