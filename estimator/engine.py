@@ -322,6 +322,7 @@ class AidedEstimator(Estimator):
         if heading.due(self._inertial_count):
             self._fusion.fuse_scalar(node, heading.measured(inertial), heading, fixed=True)
         if model_informs and self._monitors.imu.accel.trusted and model.due(self._inertial_count):
+            model.feel(node, inertial)
             self._fusion.fuse_scalar(node, model.measured(inertial), model, fixed=True)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:

@@ -85,6 +85,25 @@ COMPLEMENTARY = ComplementaryTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class SwellTuning:
+    """Constants of :class:`autopilot.estimator.measure_model.Swell`."""
+
+    follow_s: float = 5.0
+    """Longer than half a wave, shorter than a leg."""
+    mean_s: float = 3.0
+    """Mean of the states against which waves are seen."""
+    longest_s: float = 0.1
+    """Of the time between two looks that counts."""
+    usual_m_s2: float = 0.08
+    """Rms of what goes to and fro in flat water is 0.03 to 0.07, by currents, drag and thrust that the file has not."""
+    shared_looks: float = 25.0
+    """Looks of half a second, in which a wave pushes the same way: they count as one."""
+
+
+SWELL = SwellTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class InertialMonitorTuning:
     residual_time_s: float = 0.2
     """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift

@@ -14,6 +14,7 @@ taken as known.
 import ctypes
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,8 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
+from autopilot.estimator.estimator_tuning import SWELL
+from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.options import EstimatorOptions
@@ -226,9 +229,13 @@ _NOISE.flags.writeable = False
 _PLANAR_NOISE: FloatArray = _NOISE[:2, :2]
 
 
-def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False) -> ModelAcceleration:
+def model_aid_of(
+    inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False, noise_factor: float = 1.0
+) -> ModelAcceleration:
     """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
     accel, noise = (inertial.accel_level_m_s2, _NOISE) if vertical else (inertial.accel_level_m_s2[:2], _PLANAR_NOISE)
+    if noise_factor != 1.0:
+        noise = noise_factor * noise
     return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
 
 
@@ -237,6 +244,38 @@ def planar_mass_ratios(vehicle: Vehicle) -> tuple[float, float]:
     m11, m22 = vehicle.model4.mass_kg[:2]
     mass = min(vehicle.model4.dry_mass_kg, m11, m22)
     return 1.0 - mass / m11, 1.0 - mass / m22
+
+
+class Swell:
+    """Unmodelled acceleration that goes to and fro, as by waves: unlike a current that begins, it says nothing of the
+    mean flow, of drag or of thrust."""
+
+    def __init__(self, vehicle: VehicleAcceleration) -> None:
+        self._vehicle = vehicle
+        self._t_us: int | None = None
+        self._mean: FloatArray = np.zeros(NX)
+        """(21,) states as they are in the mean: waves are not to explain themselves."""
+        self._ahead, self._back = np.zeros(2), np.zeros(2)
+        """Mean squares of what is positive and of what is negative, forward and right [m^2/s^4]."""
+        self.variance = 0.0
+        """By which the model's acceleration is less certain, as of one of 50 independent looks a second [m^2/s^4]."""
+
+    def meet(self, node: Node, accel_level_m_s2: Sequence[float]) -> None:
+        """``accel_level_m_s2`` (2,) or (3,): what was measured at ``node``."""
+        x = node.state.x.copy()
+        if self._t_us is None:
+            self._t_us, self._mean = node.t_us, x
+        dt_s = min(max(node.t_us - self._t_us, 0) * 1e-6, SWELL.longest_s)
+        self._t_us = node.t_us
+        self._mean = self._mean + dt_s / SWELL.mean_s * (x - self._mean)
+        x[BIAS_AHEAD:] = self._mean[BIAS_AHEAD:]
+        x[DRAG_EXCESS] = x[THRUST_EXCESS] = 0.0
+        residual = np.array(accel_level_m_s2[:2]) - self._vehicle.at(x, node.moment)[:2] - x[BIAS_AHEAD : BIAS_RIGHT + 1]
+        gain = dt_s / SWELL.follow_s
+        self._ahead += gain * (np.square(np.maximum(residual, 0.0)) - self._ahead)
+        self._back += gain * (np.square(np.minimum(residual, 0.0)) - self._back)
+        both = 2.0 * float(np.minimum(self._ahead, self._back).max())
+        self.variance = SWELL.shared_looks * max(0.0, both - SWELL.usual_m_s2**2)
 
 
 class ModelAid(ScalarAid[Inertial]):
@@ -248,6 +287,7 @@ class ModelAid(ScalarAid[Inertial]):
         super().__init__()
         self.vehicle = VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle))
         self._options = options
+        self._swell = Swell(VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle)))
 
     def due(self, count: int) -> bool:
         """Whether the AHRS's sample of that number is held against the model."""
@@ -258,4 +298,9 @@ class ModelAid(ScalarAid[Inertial]):
         return self._options.model_aid and not idle(moment, x)
 
     def measured(self, sample: Inertial) -> ModelAcceleration:
-        return model_aid_of(sample, self.vehicle, vertical=self._options.current_3d)
+        factor = 1.0 + self._swell.variance / SIGMA_M_S2**2
+        return model_aid_of(sample, self.vehicle, vertical=self._options.current_3d, noise_factor=factor)
+
+    def feel(self, node: Node, raw: Inertial) -> None:
+        """Look for swell in a sample that belongs to ``node``."""
+        self._swell.meet(node, raw.accel_level_m_s2)

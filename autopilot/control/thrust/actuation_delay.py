@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.thrust.disturbance_level import DisturbanceLevel
 from autopilot.control.thrust.thrustless_motion import push_sigma, thrustless_motion
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
@@ -106,6 +107,7 @@ class ActuationDelay:
         prior = np.diag([tuning.prior**2] * nu + [s * s for s in tuning.push] + [tuning.arm**2])
         self._p = np.tile(prior, (n, 1, 1))
         self._evidence = np.zeros(n)
+        self._level = DisturbanceLevel()
         self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
         self._past = np.zeros((n, nu))
         # Plain numbers for quantities of every tick: faster than arrays for so few.
@@ -191,9 +193,10 @@ class ActuationDelay:
         tuning, n, nu = self._tuning, self._tuning.candidates, self._model.thrusters
         keep = math.exp(-dt_s / tuning.push_time_s)
         fade = np.concatenate([np.ones(nu), np.full(AXES, keep), np.ones(1)])
+        disturbed = self._level.factor * np.square(push)
         x, p = self._x * fade, self._p * np.outer(fade, fade)
         p += np.diag(
-            np.concatenate([np.full(nu, tuning.wander**2 * dt_s), (1.0 - keep * keep) * np.square(push), np.zeros(1)])
+            np.concatenate([np.full(nu, tuning.wander**2 * dt_s), (1.0 - keep * keep) * disturbed, np.zeros(1)])
         )
         h = np.zeros((n, AXES, nu + BESIDES))
         h[:, :, :nu] = self._effect * self._past[:, None, :]
@@ -212,9 +215,11 @@ class ActuationDelay:
         rest = np.eye(nu + BESIDES) - gain @ h
         self._x, self._p = x, rest @ p @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
         distance2 = np.einsum("ni,ni->n", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
+        best = int(self._evidence.argmax())
+        self._level.update(dt_s, innovation[best], s[best])
         log_likelihood = -0.5 * (distance2 + np.log(np.linalg.det(s)))
         log_likelihood = np.maximum(log_likelihood - log_likelihood.max(), -tuning.surprise)
-        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + log_likelihood
+        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + self._level.evidence_share * log_likelihood
         self._evidence = np.maximum(self._evidence - self._evidence.max(), -tuning.lead)
 
     def _declare(self, dt_s: float) -> bool:

@@ -67,6 +67,23 @@ LOSS_BANK = LossBankTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class DisturbanceLevelTuning:
+    """Constants of :mod:`autopilot.control.thrust.disturbance_level`."""
+
+    follow_s: float = 10.0
+    """Time constant with which the level falls; it rises faster, the larger the innovations are."""
+    most_ratio: float = 20.0
+    """Squared innovation over its variance beyond which it counts no more: a collision is no sea."""
+    silent: float = 2.5
+    """Factor from which on evidence counts for nothing."""
+    most: float = 1e3
+    """Largest factor of the variance: 0.6 m/s^2 of surge."""
+
+
+DISTURBANCE_LEVEL = DisturbanceLevelTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class LossesTuning:
     """Constants of :mod:`autopilot.control.thrust.losses`."""
 
