@@ -270,7 +270,7 @@ class Swell:
         self._mean = self._mean + dt_s / SWELL.mean_s * (x - self._mean)
         x[BIAS_AHEAD:] = self._mean[BIAS_AHEAD:]
         x[DRAG_EXCESS] = x[THRUST_EXCESS] = 0.0
-        residual = np.array(accel_level_m_s2[:2]) - self._vehicle.at(x, node.moment)[:2] - x[BIAS_AHEAD : BIAS_RIGHT + 1]
+        residual = np.array(accel_level_m_s2[:2]) - self._vehicle.at(x, node.moment)[:2] - x[ACCEL_BIAS][:2]
         gain = dt_s / SWELL.follow_s
         self._ahead += gain * (np.square(np.maximum(residual, 0.0)) - self._ahead)
         self._back += gain * (np.square(np.minimum(residual, 0.0)) - self._back)

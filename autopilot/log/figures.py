@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
+from autopilot.core.names import unknown
 from autopilot.log import figure_more, figure_paper, figure_tracks
 from autopilot.log.figure_parts import LEAST_FOR_BAND, STYLE, FigureScene, make_scene
 from autopilot.log.reader import Log
@@ -116,6 +117,8 @@ def write_figures(
     ------
     LogError
         There are no data, or a file cannot be written.
+    UnknownNameError
+        There is no such figure.
     """
     scenes = [make_scene(log) for log in ([logs] if isinstance(logs, Log) else logs)]
     several = BANDS if band else OVERLAID
@@ -123,7 +126,7 @@ def write_figures(
     if band and len(scenes) < LEAST_FOR_BAND:
         raise LogError(f"{folder}: a band needs {LEAST_FOR_BAND} logs or more, not {len(scenes)}")
     if missing := [name for name in only if name not in known]:
-        raise LogError(f"{folder}: no figure {', '.join(missing)} of {len(scenes)} logs; there are {', '.join(known)}")
+        raise unknown(f"a figure of {len(scenes)} logs", missing[0], tuple(known))
     written = []
     try:
         make_folder(folder)

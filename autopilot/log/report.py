@@ -42,8 +42,8 @@ th { border-bottom: 1px solid #999; } td.n { text-align: right; font-variant-num
 .facts b { font-weight: normal; color: #666; }
 .badge { display: inline-block; padding: 0 9px; border-radius: 9px; color: #fff; font-weight: 600; font-size: 12px; }
 .badge { white-space: nowrap; } h1 .badge { font-size: 16px; }
-.badge.pass { background: #2e8b57; } .badge.warn { background: #b36b00; } .badge.fail { background: #c62828; }
-.badge.info { background: #8a8a8a; }
+.badge.pass { background: #257a4b; } .badge.warn { background: #a86400; } .badge.fail { background: #c62828; }
+.badge.info { background: #6e6e6e; }
 tr.row-fail td { background: #fdecea; } tr.row-warn td { background: #fff6e0; } tr.subject th { padding-top: 12px; }
 td.note { color: #555; }
 .problem { border-left: 4px solid #c62828; padding: 4px 10px; background: #fdecea; }

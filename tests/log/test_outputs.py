@@ -143,7 +143,7 @@ def test_several_logs_are_drawn_into_the_same_figures(run_log: Path, bad_log: Pa
     assert code == 0
     assert [Path(line).stem for line in out.splitlines()[::2]] == list(OVERLAID)
     code, out = call("plot", run_log, other, "--only", "7_solve_time", "--out", tmp_path / "none")
-    assert code == 1 and "7_solve_time" in out and "1_trajectory" in out and not (tmp_path / "none").exists()
+    assert code == 2 and "7_solve_time" in out and "1_trajectory" in out and not (tmp_path / "none").exists()
 
 
 def test_median_and_spread_of_several_logs(run_log: Path, bad_log: Path, tmp_path: Path) -> None:

@@ -219,7 +219,9 @@ class ActuationDelay:
         self._level.update(dt_s, innovation[best], s[best])
         log_likelihood = -0.5 * (distance2 + np.log(np.linalg.det(s)))
         log_likelihood = np.maximum(log_likelihood - log_likelihood.max(), -tuning.surprise)
-        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + self._level.evidence_share * log_likelihood
+        self._evidence = (
+            self._evidence * math.exp(-dt_s / tuning.forget_s) + self._level.evidence_share * log_likelihood
+        )
         self._evidence = np.maximum(self._evidence - self._evidence.max(), -tuning.lead)
 
     def _declare(self, dt_s: float) -> bool:
