@@ -10,13 +10,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-import msgspec
 import numpy as np
 
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError, UnknownNameError
 from autopilot.core.names import did_you_mean
-from autopilot.log.message_table import Columns, flat_columns
+from autopilot.log.message_table import Columns
 from autopilot.log.reader import Log
 
 Kind: TypeAlias = Literal["csv", "parquet"]
@@ -58,7 +57,7 @@ def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind
         for topic in topics or [name for name, info in log.topics.items() if info.count]:
             path = folder / f"{topic.strip('/').replace('/', '_')}.{kind}"
             try:
-                columns = columns_of(log, topic)
+                columns = log.columns(topic)
             except LogError as error:
                 if topics:
                     raise
@@ -88,37 +87,6 @@ def export_stills(log: Log, folder: Path) -> Iterator[Path]:
             yield path
     except OSError as error:
         raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --stills") from error
-
-
-def columns_of(log: Log, topic: str) -> Columns:
-    try:
-        return flat_columns(log[topic])
-    except LogError:
-        messages = log.messages(topic)
-        t_us = np.array([message.t_us for message in messages], dtype=np.int64)
-        rows = [dict(_leaves("", message.value)) for message in messages]
-        names = dict.fromkeys(name for row in rows for name in row)
-        return {"t_us": t_us, "t_s": t_us * 1e-6, **{name: [row.get(name) for row in rows] for name in names}}
-
-
-def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Numbers and texts of a message by their paths; what is no single value as JSON."""
-    if isinstance(value, dict):
-        for name, inner in value.items():
-            yield from _leaves(f"{path}.{name}".lstrip("."), inner)
-    elif isinstance(value, bool | int | float | str):
-        yield path, value
-    else:
-        yield path, msgspec.json.encode(value, enc_hook=_plain).decode()
-
-
-def _plain(value: object) -> object:
-    """``default`` of ``json.dump``: bytes as their length, arrays as lists."""
-    if isinstance(value, bytes | bytearray | memoryview):
-        return f"{len(value)} bytes"
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise NotImplementedError(type(value))
 
 
 def _writer(kind: Kind) -> Any:

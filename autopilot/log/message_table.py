@@ -1,9 +1,10 @@
 """Table of a fixed-size topic: a numpy array with one row per message."""
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 
 from autopilot.core.errors import LogError
@@ -36,7 +37,7 @@ class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
         LogError
             pandas is not installed.
         """
-        return _library("pandas").DataFrame(flat_columns(self)).set_index("t_s")
+        return data_frame(flat_columns(self))
 
     def to_xarray(self) -> Any:
         """The table for xarray.
@@ -74,6 +75,11 @@ class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
 
         for name in self.dtype.names or ():
             yield from below(name, self[name])
+
+
+def data_frame(columns: Columns) -> Any:
+    """A pandas.DataFrame, indexed by ``t_s``. LogError if pandas is not installed."""
+    return _library("pandas").DataFrame(columns).set_index("t_s")
 
 
 def _library(name: str) -> Any:
@@ -114,3 +120,30 @@ def _flat(name: str, column: np.ndarray[Any, Any]) -> Iterator[tuple[str, Any]]:
             yield label, [text.decode(errors="replace") for text in element.tolist()]
         else:
             yield label, element
+
+
+def columns_of_values(t_us: np.ndarray[Any, Any], values: Iterable[Any]) -> Columns:
+    """The same of decoded messages of variable size: their lists as JSON, bytes as their length."""
+    rows = [dict(_value_leaves("", value)) for value in values]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {"t_us": t_us, "t_s": t_us * 1e-6, **{name: [row.get(name) for row in rows] for name in names}}
+
+
+def _value_leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Numbers and texts of a message by their paths; what is no single value as JSON."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _value_leaves(f"{path}.{name}".lstrip("."), inner)
+    elif isinstance(value, bool | int | float | str):
+        yield path, value
+    else:
+        yield path, msgspec.json.encode(value, enc_hook=_plain).decode()
+
+
+def _plain(value: object) -> object:
+    """``enc_hook``: bytes as their length, arrays as lists."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"{len(value)} bytes"
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise NotImplementedError(type(value))

@@ -27,6 +27,7 @@ from autopilot.log.container import (
     unpack,
 )
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
+from autopilot.log.message_table import Columns, columns_of_values, data_frame, flat_columns
 from autopilot.log.message_table import MessageTable as MessageTable
 
 _EPOCH_DIGITS = 20
@@ -291,6 +292,53 @@ class Log:
             out.append(DecodedMessage((log_time - self.epoch_ns) // 1000, value))
         return out
 
+    def columns(self, topic: str) -> Columns:
+        """Columns of a topic of any type, as they are exported.
+
+        Parameters
+        ----------
+        topic
+            Its name.
+
+        Returns
+        -------
+        dict
+            Name -> one value per message: ``t_us`` [us], ``t_s`` [s], then the fields; arrays element by element
+            (``pos_ned_m[0]``), nested fields by their path; of topics of variable size lists as JSON, bytes as their
+            length.
+
+        Raises
+        ------
+        LogError
+            As :meth:`messages`.
+        """
+        try:
+            return flat_columns(self[topic])
+        except LogError:  # of variable size; where it is damaged, so are its messages
+            messages = self.messages(topic)
+        t_us = np.array([message.t_us for message in messages], dtype=np.int64)
+        return columns_of_values(t_us, (message.value for message in messages))
+
+    def to_pandas(self, topic: str) -> Any:
+        """A topic of any type for pandas; its ``to_xarray()`` makes it one for xarray.
+
+        Parameters
+        ----------
+        topic
+            Its name.
+
+        Returns
+        -------
+        pandas.DataFrame
+            :meth:`columns`, indexed by ``t_s`` [s].
+
+        Raises
+        ------
+        LogError
+            As :meth:`messages`, or pandas is not installed.
+        """
+        return data_frame(self.columns(topic))
+
     def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
         """Messages of a topic without decoding.
 
@@ -476,5 +524,5 @@ def _frame_id_bytes(types: Types, name: str, first: bytes) -> int:
 def _layout(types: Types, name: str, frame_id_bytes: int, path: Path, topic: str) -> CdrLayout:
     layout = fixed_layout(types, name, frame_id_bytes) if 0 < frame_id_bytes < 256 else None
     if layout is None:
-        raise LogError(f"{path}: {topic} ({name}) is of variable size; read it with messages()")
+        raise LogError(f"{path}: {topic} ({name}) is of variable size; read it with messages() or to_pandas()")
     return layout

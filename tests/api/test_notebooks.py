@@ -16,6 +16,7 @@ SHORTER: dict[str, dict[str, Any]] = {
     "monte_carlo": {"RUNS": 3, "SECONDS": 6.0},
     "current_map": {"SECONDS": 12.0},
     "parts": {"STEPS": 80},
+    "read_log": {"SECONDS": 6.0},
 }
 """Values instead of those in the cell that is tagged ``parameters``."""
 

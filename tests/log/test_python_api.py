@@ -1,9 +1,6 @@
 """Reading from Python: tables, alignment, pandas, and the example of the docs."""
 
 import importlib.util
-import runpy
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +8,6 @@ from log_synthetic import Run, truth_at, write_run
 
 from autopilot.core.errors import LogError
 from autopilot.log.reader import Log, MessageTable, open_log
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "read_log.py"
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +46,10 @@ def test_pandas(log: Log) -> None:
     frame = log["/nav/state"].to_pandas()
     assert len(frame) == len(log["/nav/state"]) and frame.index.name == "t_s"
     np.testing.assert_array_equal(frame["pos_ned_m[2]"], log["/nav/state"]["pos_ned_m"][:, 2])
+    for topic, info in log.topics.items():
+        if info.count:
+            assert len(log.to_pandas(topic)) == info.count, topic
+    assert log.to_pandas("/rosout")["msg"].iloc[0] == log.messages("/rosout")[0].value["msg"]
 
 
 def test_xarray(log: Log) -> None:
@@ -64,12 +63,3 @@ def test_xarray(log: Log) -> None:
     assert data.sel(t_s=data["t_s"][-1])["sequence"] == log["/nav/state"]["sequence"][-1]
     for topic in ("/sim/truth", "/out/thrusters", "/ctl/nmpc", "/in/ahrs_raw", "/nav/fit", "/sys/mode"):
         assert log[topic].to_xarray().sizes["t_s"] == len(log[topic])
-
-
-def test_the_example_of_the_docs_runs(
-    log: Log, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(log.path)])
-    runpy.run_path(str(EXAMPLE))
-    out = capsys.readouterr().out
-    assert "paper-tank" in out and "correlation of depth and margin" in out and "planar speed" in out

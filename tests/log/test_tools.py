@@ -14,7 +14,6 @@ from log_synthetic import Run, write_run
 
 from autopilot.cli.main import cli
 from autopilot.log.container import read_contents
-from autopilot.log.export import columns_of
 from autopilot.log.reader import open_log
 
 
@@ -75,12 +74,12 @@ def test_parquet_where_pyarrow_is(flown: Path, tmp_path: Path) -> None:
     log = open_log(flown)
     for topic in (name for name, info in log.topics.items() if info.count):
         table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
-        assert table.column_names == list(columns_of(log, topic)) and table.num_rows == log.topics[topic].count
+        assert table.column_names == list(log.columns(topic)) and table.num_rows == log.topics[topic].count
 
 
 def test_what_is_nested_has_a_column_for_each_number(flown: Path) -> None:
     log = open_log(flown)
-    columns = columns_of(log, "/in/ahrs")
+    columns = log.columns("/in/ahrs")
     assert np.array_equal(columns["orientation.w"], log["/in/ahrs"]["orientation"]["w"])
     numbers = {name: np.asarray(column).dtype.kind for name, column in columns.items()}
     assert set(numbers.values()) <= set("fiub"), numbers
