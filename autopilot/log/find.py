@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.core.errors import LogError
+from autopilot.core.names import unknown
 from autopilot.log.reader import open_log
 
 
@@ -39,13 +40,20 @@ def find_logs(folder: Path, wanted: Mapping[str, str] | None = None) -> Iterator
     ------
     LogError
         There is no such folder.
+    UnknownNameError
+        None of the logs has a key that is wanted.
     """
     if not folder.is_dir():
         raise LogError(f"{folder}: is no folder; give one that holds logs")
+    keys: dict[str, None] = {}
     for path in sorted(folder.rglob("*.mcap")):
         found = _inspect(path)
+        keys.update(dict.fromkeys(found.facts))
         if all(found.facts.get(key, "").lower().startswith(value.lower()) for key, value in (wanted or {}).items()):
             yield found
+    for key in wanted or {}:
+        if keys and key not in keys:
+            raise unknown("--where", key, tuple(keys))
 
 
 def _inspect(path: Path) -> Found:

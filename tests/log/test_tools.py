@@ -147,3 +147,5 @@ def test_find(flown: Path, tmp_path: Path) -> None:
     assert "a.mcap" in call("find", tmp_path).output
     assert call("find", tmp_path / "none").exit_code == 1
     assert call("find", tmp_path, "--where", "nonsense").exit_code == 1
+    slip = call("find", tmp_path, "--where", "scenaro=x")
+    assert slip.exit_code == 2 and "did you mean scenario?" in slip.output
