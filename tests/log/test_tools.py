@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 from log_synthetic import Run, write_run
 
 from autopilot.cli.main import cli
+from autopilot.core.errors import UnknownNameError
 from autopilot.log.container import read_contents
 from autopilot.log.reader import open_log
 
@@ -148,4 +149,4 @@ def test_find(flown: Path, tmp_path: Path) -> None:
     assert call("find", tmp_path / "none").exit_code == 1
     assert call("find", tmp_path, "--where", "nonsense").exit_code == 1
     slip = call("find", tmp_path, "--where", "scenaro=x")
-    assert slip.exit_code == 2 and "did you mean scenario?" in slip.output
+    assert isinstance(slip.exception, UnknownNameError) and "did you mean scenario?" in str(slip.exception)
