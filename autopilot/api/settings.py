@@ -70,7 +70,7 @@ def _plan(scenario: str) -> str | None:
 def _check(name: str, value: object) -> None:
     text = f"{name}={value!r}"
     try:
-        allowed(name, value, text, "omit")
+        allowed(name, value, text, "leave it out")
     except TypeError as error:
         raise ConfigError(f"{text} is a {type(value).__name__}, which it cannot be; correct it") from error
 

@@ -170,14 +170,14 @@ def _from_environment(name: str, variable: str, text: str) -> Any:
         value = _FROM_TEXT.get(name, str)(text)
     except ValueError as error:
         raise ConfigError(f"{variable}={text!r} is not a number; correct or unset it") from error
-    return allowed(name, value, f"{variable}={text!r}", "unset")
+    return allowed(name, value, f"{variable}={text!r}", "unset it")
 
 
 def allowed(name: str, value: Any, text: str, undo: str) -> Any:
     """A setting's value; ConfigError, which begins with ``text``, if it cannot have it."""
     is_allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
     if not is_allowed(value):
-        raise ConfigError(f"{text} is not valid; use {use}, or {undo} it")
+        raise ConfigError(f"{text} is not valid; use {use}, or {undo}")
     return value
 
 
@@ -196,7 +196,7 @@ def gather(
         settings.put(name, value, "default")
         if file is not None and name in file:
             text = f"{file_name}: `$.service.{name}` = {file[name]!r}"
-            settings.put(name, allowed(name, file[name], text, "remove"), f"file {file_name}")
+            settings.put(name, allowed(name, file[name], text, "remove it"), f"file {file_name}")
         variable = ENVIRONMENT_PREFIX + name.upper()
         if variable in env:
             settings.put(name, _from_environment(name, variable, env[variable]), f"environment {variable}")

@@ -27,7 +27,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.control.thrust.disturbance_level import DisturbanceLevel
 from autopilot.control.thrust.filtered_motion import FilteredMotion
 from autopilot.control.thrust.thrust_tuning import LOSS_BANK
 from autopilot.core.frames import FloatArray
@@ -157,7 +156,6 @@ class LossBank:
         self._sway = np.array(model.allocation)[1]
         self._n, self._at = model.thrusters, StateLayout(model.thrusters)
         self._still = self._stationary()
-        self._level = DisturbanceLevel()
         self._work = np.empty((self._at.filters, self._at.size, self._at.size))
         """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
         self._evidence: FloatArray = np.zeros(len(self._at.hypotheses))
@@ -298,8 +296,6 @@ class LossBank:
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
         distance2 = np.einsum("ni,nij,nj->n", innovation, inverse, innovation)
-        best = 0 if self._evidence.max() <= 0.0 else 2 + int(self._evidence.argmax())
-        self._level.update(motion.dt_s, innovation[best], s[best])
         explained = bool(distance2.min() < b.gate)
         if explained and learn:
             gain = cross.transpose(0, 2, 1) @ inverse
@@ -323,7 +319,7 @@ class LossBank:
         """Add the log-likelihoods (n,) of an update to the evidence; restart hypotheses on schedule."""
         b, at = self._beliefs, self._at
         gained = np.clip(log_likelihood[at.hypotheses] - log_likelihood[0], -b.most[0], b.most[1])
-        self._evidence = np.minimum(self._evidence + self._level.evidence_share * gained, b.most_evidence)
+        self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
         self._age_s = self._age_s + dt_s
         self._since_s += dt_s
         if self._since_s >= b.begin_s - 1e-9:
@@ -385,11 +381,10 @@ class LossBank:
         keep = np.ones(at.size)
         keep[at.pull], keep[at.moment] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
         keep[at.flow] = keep[at.swirl] = math.exp(-dt_s / b.flow_s)
-        keep[at.push], pushes = math.exp(-dt_s / b.push_s), np.arange(at.push.start, at.push.stop)
+        keep[at.push] = math.exp(-dt_s / b.push_s)
         x, kept = self._x * keep, np.outer(keep, keep)
         p = self._p * kept
         p += (1.0 - kept) * self._still
-        p[:, pushes, pushes] += (1.0 - keep[at.push] ** 2) * np.square(b.push) * (self._level.factor - 1.0)
         # The same water, against another belief.
         x[:, at.flow] -= motion.moved_ned_m_s
         x[:, at.swirl] -= motion.moved_ned_m_s
