@@ -94,8 +94,9 @@ class SwellTuning:
     """Mean of the states against which waves are seen."""
     longest_s: float = 0.1
     """Of the time between two looks that counts."""
-    usual_m_s2: float = 0.08
-    """Rms of what goes to and fro in flat water is 0.03 to 0.07, by currents, drag and thrust that the file has not."""
+    usual_m_s2: float = 0.1
+    """Rms of what goes to and fro in flat water is 0.03 to 0.07, by currents, drag and thrust that the file has not, and
+    up to 0.1 with half a thruster."""
     shared_looks: float = 25.0
     """Looks of half a second, in which a wave pushes the same way: they count as one."""
 

@@ -38,7 +38,7 @@ def test_a_current_or_a_lost_thruster_is_none(residual: float) -> None:
 
 
 def test_flat_water_is_none() -> None:
-    assert swell_of(lambda t_s: 0.07 * math.sin(3.0 * t_s)) == 0.0
+    assert swell_of(lambda t_s: 0.1 * math.sin(3.0 * t_s)) == 0.0
 
 
 def test_evidence_counts_for_less_until_the_filter_expects_the_waves_and_for_as_much_once_they_are_over() -> None:
