@@ -95,7 +95,7 @@ class SwellTuning:
     longest_s: float = 0.1
     """Of the time between two looks that counts."""
     usual_m_s2: float = 0.1
-    """Rms of what goes to and fro in flat water is 0.03 to 0.07, by currents, drag and thrust that the file has not, and
+    """Rms of what goes to and fro in flat water is 0.03 to 0.07, by currents, drag and thrust that the file has not;
     up to 0.1 with half a thruster."""
     shared_looks: float = 25.0
     """Looks of half a second, in which a wave pushes the same way: they count as one."""
