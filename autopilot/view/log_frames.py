@@ -287,14 +287,15 @@ class LogFrames:
             return None
         paths = [self._moments.latest_raw(topic, t_us) for topic in ("/ctl/horizon", "/ctl/route")]
         horizon, route = (np.zeros((0, 3)) if found is None else _path(found[1]) for found in paths)
-        tube = self._latest("/ctl/tube", t_us)
-        tubed = tube is not None and paths[0] is not None and tube["t_us"] == paths[0][0]
+        tube, tube_m = self._latest("/ctl/tube", t_us), np.zeros(0)
+        if tube is not None and paths[0] is not None and tube["t_us"] == paths[0][0]:
+            tube_m = tube["radius_m"][: len(horizon)]
         return ControlOutput(
             thrust_n=np.zeros(0),
             status=_status(status),
             horizon_ned_m=horizon,
             route_ned_m=route[:, :2],
-            tube_m=tube["radius_m"][: len(horizon)] if tube is not None and tubed else np.zeros(0),
+            tube_m=tube_m,
         )
 
     def _effective(self, row: Fields) -> ThrusterHealthState:

@@ -1,8 +1,8 @@
-"""Level of the disturbances that not even the best candidate of a filter bank explains: waves, a tether that jerks.
+"""Level of the disturbances that not even the likeliest delay of commands explains: waves, a tether that jerks.
 
 Covariance matching (Mehra 1970): where the innovations are larger than the filter expects, its disturbance is made
-larger until they are not. Waves push the same way for a second and the controller pushes back, so that a lost thruster
-or late commands explain a part of them: evidence counts for less, the higher the level.
+larger until they are not. Waves push the same way for a second and the controller pushes back, so that late commands
+explain a part of them: evidence counts for less, the higher the level.
 """
 
 import numpy as np

@@ -77,7 +77,7 @@ class DisturbanceLevelTuning:
     silent: float = 2.5
     """Factor from which on evidence counts for nothing."""
     most: float = 1e3
-    """Largest factor of the variance: 0.6 m/s^2 of surge."""
+    """Largest factor of the variance: 1.9 m/s^2 of surge."""
 
 
 DISTURBANCE_LEVEL = DisturbanceLevelTuning()
