@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.calibrate_flight import flight
+from autopilot.cli.click_types import Finite, OneOf
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, make_console, print_table
-from autopilot.cli.finite import Finite
 from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def _board_options(command: Any) -> Any:
     for option in reversed(
         [
             click.option(
-                "--board", type=click.Choice(["charuco", "grid", "chessboard"]), default="charuco", show_default=True
+                "--board", type=OneOf(["charuco", "grid", "chessboard"]), default="charuco", show_default=True
             ),
             click.option(
                 "--shape",
@@ -91,7 +91,7 @@ def board(sheet: Path, board: str, **spec: Any) -> None:
 @_board_options
 @click.argument("source")
 @click.option("--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Vehicle whose camera it is.")
-@click.option("--medium", type=click.Choice(["water", "air"]), default="water", show_default=True)
+@click.option("--medium", type=OneOf(["water", "air"]), default="water", show_default=True)
 @click.option("--fix-k3", is_flag=True, help="k3 = 0: for narrow lenses.")
 @click.option("--views", type=click.IntRange(8, 200), default=30, show_default=True, help="Live: views to take.")
 @click.option("--save", type=click.Path(path_type=Path, file_okay=False), help="Live: folder to keep the views in.")

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
-from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.shared_options import JSON_NOT_TABLES
 from autopilot.core.errors import AutopilotError, ConfigError, DriverError, LogError, PlanError
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from autopilot.cli.click_types import FiniteRange, OneOf
 from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table, progress_bar
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import part_name
 from autopilot.cli.shared_options import (
     CAMPAIGN_OUT,
@@ -111,7 +111,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
-@click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
+@click.option("--sensors", type=OneOf(SENSORS), help="Default: the scenario's.")
 @CAMPAIGN_PARAM
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folder.")
 @PAPER

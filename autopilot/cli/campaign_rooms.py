@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.click_types import OneOf
 from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
 from autopilot.cli.shared_options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
 from autopilot.core.extras import need_analysis
@@ -25,7 +26,7 @@ MODES = ("quadratic", "energy")
 )
 @CAMPAIGN_OUT
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the campaign.")
-@click.option("--modes", type=click.Choice(("both", *MODES)), default="both", show_default=True)
+@click.option("--modes", type=OneOf(("both", *MODES)), default="both", show_default=True)
 @click.option("--only", type=click.IntRange(min=0), multiple=True, help="Fly this room alone, with log and picture.")
 @ENGINE
 @JOBS

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
-from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.shared_options import JSON
 
 

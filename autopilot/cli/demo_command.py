@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.console_output import EXIT_FAILED, emit_json, progress_bar
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.shared_options import JSON, SEED
 
 if TYPE_CHECKING:

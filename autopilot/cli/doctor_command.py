@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.completion import PARAM_VALUE
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.shared_options import CONFIG, INSTANCE, JSON
 
 if TYPE_CHECKING:

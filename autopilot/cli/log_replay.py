@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import Finite, OneOf
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
-from autopilot.cli.finite import Finite
 from autopilot.cli.service_options import part_name
 from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
 
@@ -35,7 +35,7 @@ SHOWN = 20
     "with another option (model_aid ...); repeatable.",
 )
 @click.option("--open-loop", is_flag=True, help="--set: the recorded inputs instead of a simulation.")
-@click.option("--only", type=click.Choice(("estimator",)), help="Replay the estimator alone.")
+@click.option("--only", type=OneOf(("estimator",)), help="Replay the estimator alone.")
 @click.option("--estimator", callback=part_name, help="The estimator alone: another one than the run's.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep what was replayed: .mcap (estimator: or .csv).")
 @JSON_NOT_TABLES

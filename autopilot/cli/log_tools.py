@@ -6,6 +6,7 @@ from typing import Literal
 
 import click
 
+from autopilot.cli.click_types import OneOf
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.shared_options import JSON_NOT_TABLES
 from autopilot.core.errors import LogError
@@ -16,7 +17,7 @@ _LOG = click.Path(path_type=Path)
 @click.command()
 @click.argument("log_file", metavar="LOG", type=_LOG)
 @click.option("--topic", "topics", multiple=True, help="Only this topic; repeatable (default: all).")
-@click.option("--format", "kind", type=click.Choice(("csv", "parquet")), default="csv", show_default=True)
+@click.option("--format", "kind", type=OneOf(("csv", "parquet")), default="csv", show_default=True)
 @click.option("--out", type=_LOG, help="Folder to write into (default: LOG without its ending).")
 @click.option("--stills", type=_LOG, metavar="DIR", help="Write the camera's stills into DIR as PNG, and no topics.")
 def export(

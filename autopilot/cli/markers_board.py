@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.console_output import EXIT_LOSS
-from autopilot.cli.finite import Finite, FiniteRange
 
 if TYPE_CHECKING:
     from autopilot.core.markers import MarkerMap

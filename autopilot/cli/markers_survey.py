@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
-from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.markers_board import MARKER_SIZE
 from autopilot.cli.shared_options import JSON
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import OneOf
 from autopilot.cli.completion import CONFIG_NAME
 from autopilot.core.errors import ConfigError
 
@@ -20,7 +21,7 @@ def mavlink() -> None:
 
 
 @mavlink.command()
-@click.argument("action", type=click.Choice(["make", "show", "forget"]))
+@click.argument("action", type=OneOf(["make", "show", "forget"]))
 @click.option("--config", "config_file", type=CONFIG_NAME, help="The vehicle's configuration, as for `autopilot run`.")
 @click.option("--instance", type=click.IntRange(0, 99), help="The simulated vehicle of this number (with --config: 0).")
 @click.option("--passphrase", is_flag=True, help="make: ask for a passphrase (SHA-256 of it, as MAVProxy does).")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table, progress_bar
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
 from autopilot.cli.shared_options import JSON
 from autopilot.core.errors import AutopilotError

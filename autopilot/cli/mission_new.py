@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import Finite, OneOf
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json
-from autopilot.cli.finite import Finite
 from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Numbers(_NumbersType):
 )
 @click.option("--depth", type=Finite(), default=0.4, show_default=True, metavar="M", help="Of the tour's waypoints.")
 @click.option("--laps", default=1, show_default=True, type=click.IntRange(1, 65535), help="How often all is flown.")
-@click.option("--end", "end", type=click.Choice(["hold", "return", "surface"]), default="hold", show_default=True)
+@click.option("--end", "end", type=OneOf(["hold", "return", "surface"]), default="hold", show_default=True)
 @click.option("--speed", type=Finite(), metavar="M_S", help="Over ground (default: the vehicle's SPD_CRUISE).")
 @click.option("--origin", type=Numbers("LAT,LON[,ALT]", 2, 3), help="Of the local frame (default: the parameters').")
 @click.option(

@@ -2,7 +2,7 @@
 
 import click
 
-from autopilot.cli.finite import Finite
+from autopilot.cli.click_types import Finite
 from autopilot.cli.service_run import StopSignals
 from autopilot.cli.shared_options import CONFIG
 from autopilot.core.errors import ConfigError

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import FiniteRange, OneOf
 from autopilot.cli.completion import SCENARIO_NAME, VEHICLE_NAME
 from autopilot.cli.console_output import emit_json
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
 from autopilot.cli.shared_options import CAMERA, JSON, host_and_port
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option(
     "--vehicle", type=VEHICLE_NAME, default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file."
 )
-@click.option("--frame", type=click.Choice(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
+@click.option("--frame", type=OneOf(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
 @click.option(
     "--listen",
     default="127.0.0.1:9002",

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.click_types import OneOf
 from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.cli.service_options import (
     DURATION,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 @click.option("--controller", callback=part_name, help="Default: the file's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="ekf, complementary (default: the file's, else ekf).")
 @PARAM
-@click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: the file's, else px4).")
+@click.option("--profile", type=OneOf(PROFILES), help="MAVLink identity (default: the file's, else px4).")
 @INSTANCE
 @view_option
 @view_address_option

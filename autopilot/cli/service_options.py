@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.finite import FiniteRange
-from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT, SHIPPED_PARTS, is_part
+from autopilot.cli.click_types import FiniteRange
+from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT, is_part, name_to_use
 
 if TYPE_CHECKING:
     from autopilot.view.foxglove import FoxgloveServer
@@ -19,8 +19,7 @@ def part_name(_: click.Context, param: click.Parameter, value: str | None) -> st
     package:Class. The name, if there may be such a part."""
     kind = str(param.name)
     if value is not None and not is_part(kind, value):
-        names = ", ".join(map(repr, SHIPPED_PARTS[kind]))
-        raise click.BadParameter(f"{value!r} is not one of {names}; for your own write package:Class")
+        raise click.BadParameter(f"{value!r} is not known; {name_to_use(kind, value)}")
     return value
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.click_types import OneOf
 from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, VEHICLE_NAME
 from autopilot.core.errors import ConfigError
 
@@ -70,7 +71,7 @@ JOBS = click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (
 MARKDOWN_TABLE = click.option("--markdown", is_flag=True, help="As a Markdown table.")
 ONLY_TABLE = click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
 PAPER = click.option(
-    "--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of figures in this publisher's papers."
+    "--paper", type=OneOf(("ieee", "elsevier")), help="Width and text of figures in this publisher's papers."
 )
 COLUMNS = click.option(
     "--columns",

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.click_types import FiniteRange, OneOf
 from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_LOSS
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import (
     DURATION,
     LOG,
@@ -43,30 +43,28 @@ if TYPE_CHECKING:
 @click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="ekf, complementary (default: the scenario's, else ekf).")
 @click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
-@click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
+@click.option("--sensors", type=OneOf(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
 @click.option(
     "--hil",
     multiple=True,
-    type=click.Choice(WIRES),
+    type=OneOf(WIRES),
     help="Through real drivers and wires; repeatable: AHRS on a serial line, camera as a network stream, PWM board.",
 )
 @click.option(
     "--markers", type=click.Path(dir_okay=False), help="Marker map that the estimator uses (default: the true one)."
 )
+@click.option("--currents", type=OneOf(CURRENTS), help="What the controller knows of them (default: scenario's).")
 @click.option(
-    "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."
-)
-@click.option(
-    "--basin", type=click.Choice(BASINS), help="Whether what flows comes back within the fence (default: scenario's)."
+    "--basin", type=OneOf(BASINS), help="Whether what flows comes back within the fence (default: scenario's)."
 )
 @click.option("--currents-map", type=click.Path(dir_okay=False), help="Current map (.npz, NetCDF): --currents map.")
 @click.option("--currents-start", metavar="UTC", help="Date of the start in the map (default: its first frame).")
 @PARAM
-@click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: px4).")
+@click.option("--profile", type=OneOf(PROFILES), help="MAVLink identity (default: px4).")
 @INSTANCE
 @click.option("--start", is_flag=True, default=None, help="Arm and start the preloaded plan by an operator in-process.")
 @click.option("--keep-plans", is_flag=True, default=None, help="Keep plans, fence, home and progress between runs.")
-@click.option("--until", type=click.Choice(UNTIL), help="End with the mission; exit code 1 if it ends otherwise.")
+@click.option("--until", type=OneOf(UNTIL), help="End with the mission; exit code 1 if it ends otherwise.")
 @view_option
 @foxglove_option
 @QUIET

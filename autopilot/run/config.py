@@ -13,6 +13,7 @@ from typing import Any
 import platformdirs
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.names import choice
 from autopilot.core.params import ParamSet
 
 ENVIRONMENT_PREFIX = "AUTOPILOT_"
@@ -30,6 +31,16 @@ CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
 """Entries of the plug-in tables (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
+_NAMES: dict[str, tuple[str, ...]] = {
+    **SHIPPED_PARTS,
+    "sensors": SENSORS,
+    "currents": CURRENTS,
+    "basin": BASINS,
+    "hil": WIRES,
+    "until": UNTIL,
+    "profile": tuple(PROFILES),
+}
+"""Setting -> the names that it takes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,9 +149,9 @@ def is_part(kind: str, name: str) -> bool:
     return is_plugin_name(kind, name, SHIPPED_PARTS[kind])
 
 
-def part_names(kind: str) -> str:
-    """Valid names of controllers, estimators or plants."""
-    return f"{' or '.join(SHIPPED_PARTS[kind])}, or package:Class for your own"
+def name_to_use(setting: str, name: str) -> str:
+    """The end of a message about a name that a setting does not take: which ones it does."""
+    return f"{choice(name, _NAMES[setting])}{', or package:Class for your own' if setting in SHIPPED_PARTS else ''}"
 
 
 _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -151,15 +162,6 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "foxglove": (lambda value: 0 <= value <= MAX_PORT, f"a port, 0 to {MAX_PORT} (0 = any)"),
     "log_quota_mb": (lambda value: 0.0 <= value < math.inf, "0 (no limit) or a number of megabytes"),
     "log_camera_hz": (lambda value: 0.0 <= value <= 100.0, "0 (no pictures) to 100 pictures per second"),
-    "controller": (lambda value: is_part("controller", value), part_names("controller")),
-    "estimator": (lambda value: is_part("estimator", value), part_names("estimator")),
-    "plant": (lambda value: is_part("plant", value), part_names("plant")),
-    "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
-    "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
-    "basin": (lambda value: value in BASINS, ", ".join(BASINS)),
-    "hil": (lambda value: set(value) <= set(WIRES), ", ".join(WIRES)),
-    "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
-    "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }
 """Valid values of a setting, and their description."""
 
@@ -173,8 +175,15 @@ def _from_environment(name: str, variable: str, text: str) -> Any:
     return allowed(name, value, f"{variable}={text!r}", "unset it")
 
 
+def _is_name(setting: str, value: Any) -> bool:
+    return value in _NAMES[setting] or (setting in SHIPPED_PARTS and isinstance(value, str) and is_part(setting, value))
+
+
 def allowed(name: str, value: Any, text: str, undo: str) -> Any:
     """A setting's value; ConfigError, which begins with ``text``, if it cannot have it."""
+    for each in value if isinstance(value, tuple) else (value,):
+        if name in _NAMES and not _is_name(name, each):
+            raise ConfigError(f"{text} is not known; {name_to_use(name, str(each))}, or {undo}")
     is_allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
     if not is_allowed(value):
         raise ConfigError(f"{text} is not valid; use {use}, or {undo}")

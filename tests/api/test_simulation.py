@@ -95,9 +95,9 @@ def _controller_of(part: Any) -> str:
     ("options", "text"),
     [
         ({"sensor": "pose"}, "sensor='pose' is no option of a flight; use one of vehicle, plan"),
-        ({"sensors": "sonar"}, "sensors='sonar' is not valid; use camera or pose, or leave it out"),
-        ({"currents": 3}, "currents=3 is not valid; use estimate"),
-        ({"controller": "nmcp"}, "controller='nmcp' is not valid; use nmpc or los-pid, or package:Class"),
+        ({"sensors": "sonar"}, "sensors='sonar' is not known; use one of camera, pose, or leave it out"),
+        ({"currents": 3}, "currents=3 is not known; use one of estimate"),
+        ({"controller": "nmcp"}, "'nmcp' is not known; did you mean nmpc? use one of nmpc, los-pid, or package:Class"),
         ({"params": {"SPD_CRUSE": 0.2}}, "SPD_CRUSE"),
         ({"params": {"SPD_CRUISE": "fast"}}, "write {NAME: number}"),
         ({"params": 3}, "write {NAME: number}"),

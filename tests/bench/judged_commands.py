@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 
 from autopilot.cli.bench_tables import SHORT, print_rows
+from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.console_output import print_table
-from autopilot.cli.finite import FiniteRange
 from autopilot.cli.shared_options import JSON
 from tests.bench.tables import TITLES, judge, judge_rows, seed_range, tell
 

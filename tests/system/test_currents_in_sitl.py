@@ -86,5 +86,7 @@ def test_what_does_not_fit_is_refused_before_anything_runs(
         opened(currents="uniform", currents_map=str(tmp_path / "small.npz"))
     with pytest.raises(ConfigError, match="cannot be read"):
         opened(currents_map=str(tmp_path / "nothing.npz"))
-    with pytest.raises(ConfigError, match="AUTOPILOT_CURRENTS='maps' is not valid; use estimate, map"):
+    with pytest.raises(
+        ConfigError, match="AUTOPILOT_CURRENTS='maps' is not known; did you mean map\\? use one of estimate, map"
+    ):
         gather(sitl_defaults(0), {}, {"AUTOPILOT_CURRENTS": "maps"})

@@ -1,9 +1,11 @@
-"""Finite numbers on the command line: click's floats accept ``nan`` and ``inf``, also in open ranges."""
+"""Types of options: finite numbers (click's floats accept ``nan`` and ``inf``, also in open ranges), and names."""
 
 import math
 from typing import Any
 
 import click
+
+from autopilot.core.names import choice
 
 
 class Finite(click.types.FloatParamType):
@@ -17,3 +19,10 @@ class Finite(click.types.FloatParamType):
 class FiniteRange(click.FloatRange):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         return float(super().convert(Finite().convert(value, param, ctx), param, ctx))
+
+
+class OneOf(click.Choice[str]):
+    """A name of several; about another one it says which was probably meant."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        return f"{value!r} is not known; {choice(str(value), self.choices)}"
