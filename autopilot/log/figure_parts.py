@@ -134,11 +134,19 @@ def time_axis(scene: FigureScene, axes: list[Axes]) -> None:
             ax.axvline(lap.end_s, color="#999999", linewidth=0.6)
 
 
-def draw_band(ax: Axes, at: FloatArray, samples: Sequence[FloatArray | Sequence[float]], of: str) -> None:
-    """Median and SPREAD of the samples at each place. ``of``: how many of what they are of."""
-    low, middle, high = np.array([np.quantile(values, (SPREAD[0], 0.5, SPREAD[1])) for values in samples]).T
+def draw_band(
+    ax: Axes,
+    at: FloatArray,
+    samples: Sequence[FloatArray | Sequence[float]],
+    of: str,
+    middle: FloatArray | None = None,
+) -> None:
+    """Median (or ``middle``) and SPREAD of the samples at each place. ``of``: how many of what they are of."""
+    low, median, high = np.array([np.quantile(values, (SPREAD[0], 0.5, SPREAD[1])) for values in samples]).T
     ax.fill_between(at, low, high, label=f"{100.0 * SPREAD[0]:.0f} to {100.0 * SPREAD[1]:.0f} % of {of}", **BAND)
-    ax.plot(at, middle, marker="." if len(at) < MARKED else "", label="median", **TRUTH)
+    label = "median" if middle is None else "median flight"
+    middle = median if middle is None else middle
+    ax.plot(at, middle, marker="." if len(at) < MARKED else "", label=label, **TRUTH)
 
 
 def draw_bounds(ax: Axes, *values: float | None) -> None:

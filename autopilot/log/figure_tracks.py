@@ -1,5 +1,6 @@
 """Several flights in one figure: their tracks in one plan, and curves over the time since arming."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,8 @@ HEIGHT_IN = 4.6
 DPI = 150
 BAND_S = 0.1
 """Between two points of a band."""
+BEYOND_S = 1e5
+"""Longer than any flight goes on after its last waypoint."""
 EACH: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.4, "zorder": 1.2}
 ENERGY_POINTS = 200
 _ENDINGS = "(unknown format); give it the ending .png, .pdf or .svg"
@@ -93,36 +96,59 @@ def trajectories(scenes: Sequence[FigureScene]) -> Figure:
 
 
 def tracks_and_median(scenes: Sequence[FigureScene]) -> Figure:
-    """Every track, and the median of the positions at the same time since arming."""
+    """Every track, and the one in the middle of them."""
     figure, ax = _around(scenes[0].track, scenes[0].flight.run)
     for number, scene in enumerate(scenes):
         plane = scene.track.pos_ned_m
         ax.plot(plane[:, 0], plane[:, 1], label=None if number else f"{len(scenes)} flights", **EACH)
-    at_s = _common_times_s(scenes)
-    north, east = (
-        np.median(_sampled(scenes, [scene.track.pos_ned_m[:, axis] for scene in scenes], at_s), axis=0)
-        for axis in (0, 1)
-    )
-    ax.plot(north, east, label="median", **TRUTH)
+    abreast = Abreast(scenes)
+    plane = np.stack([abreast.sampled([scene.track.pos_ned_m[:, axis] for scene in scenes]) for axis in (0, 1)], axis=2)
+    middle = plane[_medoid(plane)]
+    ax.plot(middle[:, 0], middle[:, 1], label="median flight", **TRUTH)
     legend_above(ax, 3)
     return figure
 
 
-def _common_times_s(scenes: Sequence[FigureScene]) -> FloatArray:
-    """Since arming, as long as more than half of the flights last."""
-    last_s = [float(scene.track.t_s[-1] - scene.flight.armed.start_s) for scene in scenes]
-    times: FloatArray = np.arange(0.0, float(np.median(last_s)), BAND_S)
-    return times
+class Abreast:
+    """Flights of one tour, compared at the same places of it rather than at the same time.
 
+    A leg lasts as long as in the median of the flights: each flight's time on it is stretched or compressed. At the
+    same time a fast flight and a slow one are on different legs; their median is a way that nobody flew.
+    """
 
-def _sampled(scenes: Sequence[FigureScene], curves: Sequence[FloatArray], at_s: FloatArray) -> FloatArray:
-    """(flights, times); a flight that is over keeps its last value."""
-    return np.array(
-        [
-            np.interp(at_s, scene.track.t_s - scene.flight.armed.start_s, curve)
-            for scene, curve in zip(scenes, curves, strict=True)
+    def __init__(self, scenes: Sequence[FigureScene]) -> None:
+        self._own_s = [scene.track.t_s - scene.flight.armed.start_s for scene in scenes]
+        tours = [
+            [math.nan if visit.t_s is None else visit.t_s - scene.flight.armed.start_s for visit in scene.tour]
+            for scene in scenes
         ]
-    )
+        reached_s = np.array([[*tour, *[math.nan] * (max(map(len, tours)) - len(tour))] for tour in tours])
+        by_most = np.isfinite(reached_s).sum(axis=0) > len(scenes) / 2
+        reached_s = reached_s[:, by_most]
+        common_s = np.maximum.accumulate(np.nanmedian(reached_s, axis=0))
+        self._warps = [self._warp(common_s, own_s) for own_s in reached_s]
+        last_s = [
+            float(np.interp(own_s[-1], own, common))
+            for own_s, (common, own) in zip(self._own_s, self._warps, strict=True)
+        ]
+        self.at_s: FloatArray = np.arange(0.0, float(np.median(last_s)), BAND_S)
+        """Of the flight with legs of median length, as long as half of the flights last or more."""
+
+    @staticmethod
+    def _warp(common_s: FloatArray, own_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Common times and the flight's own; beyond its last waypoint time goes on as it is."""
+        known = np.isfinite(own_s)
+        common, own = np.append(0.0, common_s[known]), np.append(0.0, own_s[known])
+        return np.append(common, common[-1] + BEYOND_S), np.append(own, own[-1] + BEYOND_S)
+
+    def sampled(self, curves: Sequence[FloatArray]) -> FloatArray:
+        """(flights, times); a flight that is over keeps its last value."""
+        return np.array(
+            [
+                np.interp(np.interp(self.at_s, *warp), own_s, curve)
+                for warp, own_s, curve in zip(self._warps, self._own_s, curves, strict=True)
+            ]
+        )
 
 
 def _energy(scene: FigureScene) -> FloatArray:
@@ -180,12 +206,22 @@ def _draw_each(ax: Axes, _panel: Panel, scenes: Sequence[FigureScene], curves: S
 
 
 def _draw_band(ax: Axes, panel: Panel, scenes: Sequence[FigureScene], curves: Sequence[FloatArray]) -> None:
-    at_s = _common_times_s(scenes)
-    sampled = _sampled(scenes, curves, at_s)
-    if panel.angle:  # flights that turned the other way round have the same heading: all are taken near the mean's
-        mean = np.unwrap(np.angle(np.exp(1j * sampled).mean(axis=0)))
-        sampled = mean + wrap(sampled - mean)
-    draw_band(ax, at_s, list(sampled.T), f"{len(scenes)} flights")
+    abreast = Abreast(scenes)
+    sampled = abreast.sampled(curves)
+    middle = None
+    if panel.angle:  # flights that turned the other way round have the same heading: all are taken near one of them
+        middle = sampled[_medoid(np.stack((np.cos(sampled), np.sin(sampled)), axis=2))]
+        sampled = middle + wrap(sampled - middle)
+    draw_band(ax, abreast.at_s, list(sampled.T), f"{len(scenes)} flights", middle)
+
+
+def _medoid(samples: FloatArray) -> int:
+    """Which of the flights (flights, times, k) is the least away from all others, over all times.
+
+    Of flights that pass an obstacle on both sides, the median at each time is a way through it.
+    """
+    away = [float(np.linalg.norm(samples - each, axis=2).sum()) for each in samples]
+    return int(np.argmin(away))
 
 
 def _panels(
@@ -208,5 +244,5 @@ def _panels(
     if "depth" in axes[0].get_ylabel():
         axes[0].yaxis.set_inverted(True)
     legend_above(axes[0])
-    axes[-1].set_xlabel("time since arming [s]")
+    axes[-1].set_xlabel(f"time since arming{', legs of median length' if draw is _draw_band else ''} [s]")
     return figure

@@ -6,6 +6,7 @@ import re
 import resource
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,6 +24,7 @@ from mcap.writer import Writer
 from autopilot.cli.log import log as log_command
 from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
 from autopilot.log import figure_tracks
 from autopilot.log.analysis import Span
 from autopilot.log.check import BoundRow, acceptance_table, format_figure, short_form
@@ -155,21 +157,51 @@ def test_median_and_spread_of_several_logs(run_log: Path, bad_log: Path, tmp_pat
     assert code == 1 and "3 logs or more, not 2" in out and not (tmp_path / "few").exists()
 
 
-def test_a_band_takes_headings_of_either_turn_as_the_same() -> None:
-    scenes: Any = [
-        SimpleNamespace(
-            track=SimpleNamespace(t_s=np.linspace(0.0, 10.0, 101)), flight=SimpleNamespace(armed=Span(0.0, 10.0))
-        )
-        for _ in range(4)
-    ]
-    heading = np.linspace(0.0, 6.0, 101)
+def flight_of(reached_s: Sequence[float | None], end_s: float = 10.0) -> Any:
+    """A flight that was at the waypoints of its tour at these times."""
+    track = SimpleNamespace(t_s=np.linspace(0.0, end_s, 401))
+    tour = [SimpleNamespace(t_s=at_s) for at_s in reached_s]
+    return SimpleNamespace(track=track, tour=tour, flight=SimpleNamespace(armed=Span(0.0, end_s)))
+
+
+def band_of(scenes: Sequence[Any], curves: Sequence[FloatArray], panel: int) -> tuple[FloatArray, FloatArray]:
+    """The line in the middle, and the heights of the band's outline."""
     ax = Figure().subplots()
-    panel = figure_tracks.PANELS["2_depth_and_yaw"][1]
-    figure_tracks._draw_band(ax, panel, scenes, [heading + 2.0 * np.pi * turns for turns in (-1, 0, 0, 1)])
-    median = np.asarray(ax.lines[0].get_ydata())
-    assert np.ptp(median) == pytest.approx(6.0, abs=0.1)
+    figure_tracks._draw_band(ax, figure_tracks.PANELS["2_depth_and_yaw"][panel], scenes, curves)
     (band,) = ax.collections
-    assert np.ptp(np.asarray(band.get_paths()[0].vertices)[:, 1]) == pytest.approx(6.0, abs=0.1)
+    return np.asarray(ax.lines[0].get_ydata()), np.asarray(band.get_paths()[0].vertices)[:, 1]
+
+
+def test_a_band_takes_headings_of_either_turn_as_the_same() -> None:
+    heading = np.linspace(0.0, 6.0, 401)
+    middle, outline = band_of([flight_of(())] * 4, [heading + 2.0 * np.pi * turns for turns in (-1, 0, 0, 1)], 1)
+    assert np.ptp(middle) == pytest.approx(6.0, abs=0.1) and np.ptp(outline) == pytest.approx(6.0, abs=0.1)
+
+
+def test_half_of_the_flights_turn_to_the_other_side_and_the_middle_is_one_of_them() -> None:
+    turn = np.linspace(0.0, np.pi, 401)
+    middle, _ = band_of([flight_of(())] * 4, [turn, turn, -turn, -turn], 1)
+    assert np.abs(np.diff(middle)).max() < 0.1 and abs(abs(middle[-1]) - np.pi) < 0.1
+
+
+@given(
+    legs_s=st.lists(st.lists(st.floats(2.0, 30.0), min_size=4, max_size=4), min_size=3, max_size=7),
+    given_up=st.integers(0, 4),
+)
+def test_flights_of_the_same_way_have_no_spread_however_long_each_of_their_legs_took(
+    legs_s: list[list[float]], given_up: int
+) -> None:
+    """Depth is a metre a leg; the first flight ends at a waypoint, where it stays."""
+    scenes, curves = [], []
+    for number, legs in enumerate(legs_s):
+        reached_s = np.cumsum(legs)
+        count = given_up if number == 0 and len(legs_s) > 2 else len(legs)
+        scene = flight_of([*reached_s[:count].tolist(), *[None] * (len(legs) - count)], float(reached_s[-1]))
+        scenes.append(scene)
+        curves.append(np.interp(scene.track.t_s, np.append(0.0, reached_s[:count]), np.arange(count + 1.0)))
+    abreast = figure_tracks.Abreast(scenes)
+    for curve, one in zip(abreast.sampled(curves), (given_up, *[4] * (len(scenes) - 1)), strict=True):
+        np.testing.assert_allclose(curve, np.minimum(abreast.sampled([curves[-1]] * len(scenes))[-1], one), atol=0.15)
 
 
 class Loads(HTMLParser):
