@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import msgspec
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 from autopilot.core.thrusters import ThrustCurve, ThrusterDrive
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Body, Vehicle
@@ -57,7 +58,7 @@ def check_mismatch(mismatch: Mapping[str, float], where: str) -> None:
     """ConfigError if a key is unknown or its factor is not usable; ``where`` begins the message."""
     for key, factor in mismatch.items():
         if key not in MISMATCH_KEYS:
-            raise ConfigError(f"{where}: {key!r} is not a mismatch factor; use one of {', '.join(MISMATCH_KEYS)}")
+            raise unknown(f"{where}: factor", key, tuple(MISMATCH_KEYS))
         if not math.isfinite(factor) or factor < 0.0 or (factor == 0.0 and key not in MAY_BE_ZERO):
             raise ConfigError(f"{where}: {key} = {factor} is not a usable factor; use a number greater than 0")
 

@@ -5,6 +5,8 @@ key. Lengths in metres, local NED (origin at the water surface, z = depth), angl
 Scenarios ship in ``sitl/scenarios``.
 """
 
+from collections.abc import Callable
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
@@ -70,11 +72,7 @@ def _located(tables: Tables, folder: Path) -> Tables:
 
 def _of_tables(tables: Tables, origin: str) -> Scenario:
     """The scenario that tables describe. ConfigError begins with ``origin``."""
-    scenario: Scenario = convert(tables, Scenario, origin)
-    _check_vehicle(scenario, origin)
-    _check_params(scenario, origin)
-    if scenario.tank is None and scenario.sensors.position == "camera":
-        raise ConfigError(f'{origin}: `$.sensors.position` = "camera" needs a floor; add [tank] or use "pose"')
+    scenario: Scenario = convert(tables, Scenario, origin, partial(_broken_rules, tables))
     check_spread(tables, scenario.spread, _of_tables, origin)
     return scenario
 
@@ -89,16 +87,26 @@ def plan_path(name_or_path: str, scenario: Scenario) -> Path | None:
     return path
 
 
-def _check_params(scenario: Scenario, origin: str) -> None:
-    """ConfigError for parameters that do not exist and values out of their range."""
-    params, found = ParamSet(), []
+def _broken_rules(tables: Tables, scenario: Scenario) -> list[str]:
+    """What cannot be, beyond the types of single keys: vehicle, parameters, a camera without a floor.
+
+    ``scenario``: what can be read of the tables."""
+    found = _mistakes_of_vehicle(scenario)
+    params = ParamSet()
     for name, value in scenario.params.items():
-        try:
-            params.set(name, value)
-        except ConfigError as error:
-            found.append(f"`$.params.{name}`: {error}")
-    if found:
-        raise mistaken(origin, found)
+        found += [f"`$.params.{name}`: {text}" for text in _refusal(partial(params.set, name, value))]
+    if "tank" not in tables and scenario.sensors.position == "camera":
+        found.append('`$.sensors.position` = "camera" needs a floor; add [tank] or use "pose"')
+    return found
+
+
+def _refusal(attempt: Callable[[], object]) -> list[str]:
+    """Text of the ConfigError, if there is one."""
+    try:
+        attempt()
+    except ConfigError as error:
+        return [str(error)]
+    return []
 
 
 def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:
@@ -113,21 +121,24 @@ def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:
         wall_clearance_m=max(0.0, accept.wall_clearance_m + wider_m),
     )
     changed = msgspec.structs.replace(scenario, vehicle=start, accept=accept)
-    _check_vehicle(changed, origin)
+    if found := _mistakes_of_vehicle(changed):
+        raise mistaken(origin, found)
     return changed
 
 
-def _check_vehicle(scenario: Scenario, origin: str) -> None:
-    """ConfigError if the vehicle or a mismatch is unknown, or a fault names a thruster that it does not have."""
+def _mistakes_of_vehicle(scenario: Scenario) -> list[str]:
+    """An unknown vehicle, impossible mismatch, faults of thrusters that it does not have."""
     try:
         vehicle = load_vehicle(scenario.vehicle.model)
     except UnknownNameError as error:
-        raise ConfigError(f"{origin}: `$.vehicle.model`: {error}") from error
-    vehicle = mismatched(vehicle, scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`")
+        return [f"`$.vehicle.model`: {error}"]
+    applied = partial(mismatched, vehicle, where="`$.vehicle.mismatch`")
+    mismatch = scenario.vehicle.mismatch
+    found = [text for key, factor in mismatch.items() for text in _refusal(partial(applied, {key: factor}))]
+    found = found or _refusal(partial(applied, mismatch))
     names = [thruster.name for thruster in vehicle.thrusters]
-    for index, fault in enumerate(scenario.fault):
-        if isinstance(fault, ThrusterLoss) and fault.thruster not in names:
-            raise ConfigError(
-                f"{origin}: `$.fault[{index}].thruster` = {fault.thruster!r} does not exist;"
-                f" use one of {', '.join(names)}"
-            )
+    return found + [
+        f"`$.fault[{index}].thruster`: {unknown('thruster', fault.thruster, names)}"
+        for index, fault in enumerate(scenario.fault)
+        if isinstance(fault, ThrusterLoss) and fault.thruster not in names
+    ]

@@ -27,9 +27,11 @@ MOST_LETTERS = 40
 """Of a wrong value that is shown."""
 
 
-def mistakes(tables: dict[str, Any], kind: type) -> list[str]:
-    """Every mistake of the tables as a ``kind`` with its remedy, MOST_MISTAKES at most: msgspec names the first, and is
-    asked again without the key that it names.
+def mistakes(tables: dict[str, Any], kind: type) -> tuple[list[str], Any]:
+    """Every mistake of the tables as a ``kind`` with its remedy, MOST_MISTAKES at most, and the ``kind`` without them.
+
+    msgspec names the first mistake, and is asked again without the key that it names; None, if what is left is no
+    ``kind``.
     """
     left, removed = copy.deepcopy(tables), set[tuple[str, str]]()
     taken: dict[str, list[int]] = {}
@@ -41,7 +43,7 @@ def mistakes(tables: dict[str, Any], kind: type) -> list[str]:
         missing, where = _MISSING.search(error), _ANYWHERE.search(error)
         place = "$" if where is None else where["place"]
         if not error:
-            break
+            return found, msgspec.convert(left, kind, strict=True)
         # A key that was taken out, or that another was probably meant to be, is not missing; a table without it may
         # break rules of the table.
         if missing is not None:
@@ -57,15 +59,18 @@ def mistakes(tables: dict[str, Any], kind: type) -> list[str]:
             taken.setdefault(entry["array"], []).append(int(entry["index"]))
             continue
         table, key = (place, unknown["name"]) if unknown else _holder(place)
-        if not key or _at(left, table).pop(key, None) is None:
+        value = _at(left, table).pop(key, None) if key else None
+        if value is None:
             break
         removed.add((table, key))
         if unknown:
-            names = [
-                each.encode_name for here in _types_at(inspect.type_info(kind), left, table) for each in _fields(here)
+            here = [
+                field.encode_name for each in _types_at(inspect.type_info(kind), left, table) for field in _fields(each)
             ]
-            removed.update((table, name) for name in names if did_you_mean(key, names) == f"did you mean {name}? ")
-    return found
+            meant = next((name for name in here if did_you_mean(key, here) == f"did you mean {name}? "), key)
+            if meant != key and (table, meant) not in removed:
+                _at(left, table).setdefault(meant, value)
+    return found, None
 
 
 def _renumbered(text: str, taken: dict[str, list[int]]) -> str:

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -42,8 +42,14 @@ def parse_toml(text: str, origin: str) -> dict[str, Any]:
         raise ConfigError(f"{origin}: is not valid TOML: {error}; correct it there") from error
 
 
-def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
+def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[Any], list[str]] = lambda _: []) -> Any:
     """``tables`` as ``kind``.
+
+    Parameters
+    ----------
+    rules
+        Mistakes of a whole ``kind`` beyond its types: also asked, where there are other mistakes, of what is left
+        without these.
 
     Raises
     ------
@@ -56,13 +62,17 @@ def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
         for place, value in _leaves(tables, "$")
         if isinstance(value, float) and not math.isfinite(value)
     ]
-    try:
-        if not found:
-            return msgspec.convert(tables, kind, strict=True)
-    except msgspec.ValidationError:
-        from autopilot.core.toml_names import mistakes  # for errors only
+    if not found:
+        try:
+            whole: Any = msgspec.convert(tables, kind, strict=True)
+            found = rules(whole)
+            if not found:
+                return whole
+        except msgspec.ValidationError:
+            from autopilot.core.toml_names import mistakes  # for errors only
 
-        found = mistakes(tables, kind)
+            found, left = mistakes(tables, kind)
+            found += rules(left) if left is not None else []
     raise mistaken(origin, found)
 
 

@@ -1,6 +1,8 @@
 """``autopilot scenario check``: contents of a scenario, errors that keep it from being flown, and warnings."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,22 +51,27 @@ def check_scenario(name_or_path: str, scenario: Scenario) -> ScenarioFindings:
     facts = {"vehicle": f"{vehicle.name}, ball of {vehicle.radius_m:g} m", **_world_facts(scenario)}
     problems: list[str] = []
     remarks: list[str] = []
-    try:
-        build_plant(scenario, vehicle)
-    except AutopilotError as error:
-        return ScenarioFindings(facts=facts, problems=(str(error),), remarks=())
     steps: tuple[Step, ...] = ()
-    try:
+    with _noting(problems):
         steps = _check_plan(name_or_path, scenario, vehicle, facts, problems, remarks)
-    except AutopilotError as error:
-        problems.append(str(error))
-    remarks += _start_clearance(scenario, vehicle)
-    remarks += _check_current(scenario, vehicle, steps, facts)
+    with _noting(problems):
+        build_plant(scenario, vehicle)
+        remarks += _start_clearance(scenario, vehicle)
+        remarks += _check_current(scenario, vehicle, steps, facts)
     if scenario.spread:
         facts["spread"] = f"{len(scenario.spread)} keys: {', '.join(scenario.spread)}"
         if scenario.scenario.duration_s is None:
             remarks.append("a campaign needs scenario.duration_s or --duration, and there is none")
     return ScenarioFindings(facts=facts, problems=tuple(problems), remarks=tuple(remarks))
+
+
+@contextmanager
+def _noting(problems: list[str]) -> Iterator[None]:
+    """What is raised goes to the problems."""
+    try:
+        yield
+    except AutopilotError as error:
+        problems.append(str(error))
 
 
 def _world_facts(scenario: Scenario) -> dict[str, str]:

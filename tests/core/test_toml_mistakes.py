@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.toml_table import convert
-from autopilot.sitl.scenario_tables import Scenario
+from autopilot.sitl.scenario import _of_tables as scenario_of
 
 Tables = dict[str, Any]
 
@@ -22,6 +21,7 @@ SOUND: Tables = {
     ],
     "vehicle": {"model": "lbv150", "start_m": [0.0, 1.0, 0.5], "start_yaw_rad": 0.0},
     "sensors": {"ahrs": {"rate_hz": 100.0}},
+    "fault": [{"kind": "thruster_loss", "thruster": "port", "at_s": 3.0}],
     "params": {"MPC_COST": 0.0, "SPD_CRUISE": 0.2},
 }
 
@@ -65,19 +65,23 @@ MISTAKES: dict[str, Callable[[Tables], None]] = {
     "unknown field `start` - at `$.vehicle`; did you mean start_m?": renamed("vehicle", "start_m", "start"),
     "unknown field `rate` - at `$.sensors.ahrs`": put(1.0, "sensors", "ahrs", "rate"),
     "Expected `float`, got `str` - at `$.params.MPC_COST`": put("one", "params", "MPC_COST"),
-    "unknown field `curent`; did you mean current?": put({}, "curent"),
+    "unknown field `curent`; did you mean current?": put({"kind": "none"}, "curent"),
+    "`$.params.SPD_CRUISE`: parameter SPD_CRUISE = 99 is out of range": put(99.0, "params", "SPD_CRUISE"),
+    "`$.params.SPD_CRUS`: parameter 'SPD_CRUS' is not known; did you mean SPD_CRUISE?": put(0.1, "params", "SPD_CRUS"),
+    "`$.vehicle.mismatch`: factor 'drog' is not known; did you mean drag?": put({"drog": 1.1}, "vehicle", "mismatch"),
+    "`$.fault[0].thruster`: thruster 'bow' is not known": put("bow", "fault", 0, "thruster"),
 }
 
 
 @given(st.sets(st.sampled_from(sorted(MISTAKES)), min_size=1))
 def test_all_mistakes_are_named_at_once(chosen: set[str]) -> None:
     tables = copy.deepcopy(SOUND)
-    convert(tables, Scenario, "my.toml")
+    scenario_of(tables, "my.toml")
     # Of one obstacle's table either the kind or a key: the key's index counts obstacles as they stand in the file.
     for name in sorted(chosen):
         MISTAKES[name](tables)
     with pytest.raises(ConfigError) as caught:
-        convert(tables, Scenario, "my.toml")
+        scenario_of(tables, "my.toml")
     text = str(caught.value)
     assert [name for name in chosen if name not in text] == []
     head, *lines = text.splitlines()

@@ -126,8 +126,12 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("start_m = [-1.0, 0.0, 0.5]", "start_m = [-1.0, 0.0]", r"`\$\.vehicle\.start_m`"),
         ("mass = 1.2", "mass = -1.2", r">= 0\.0 - at `\$\.vehicle\.mismatch"),
         ("mass = 1.2", "mass = 0.0", r"`\$\.vehicle\.mismatch`: mass = 0\.0 is not a usable factor"),
-        ("mass = 1.2", "weight = 1.2", r"`\$\.vehicle\.mismatch`: 'weight' is not a mismatch factor; use one of mass"),
-        ('thruster = "port"', 'thruster = "bow"', r"`\$\.fault\[0\]\.thruster` = 'bow' does not exist; use one of p"),
+        ("mass = 1.2", "weight = 1.2", r"`\$\.vehicle\.mismatch`: factor 'weight' is not known; use one of mass"),
+        (
+            'thruster = "port"',
+            'thruster = "bow"',
+            r"`\$\.fault\[0\]\.thruster`: thruster 'bow' is not known; use one of p",
+        ),
         ("loss = 0.5", "loss = 1.5", r"`\$\.fault\[0\]\.loss`"),
         ("rate_hz = 50.0", "rate_hz = 0.0", r"`\$\.sensors\.ahrs\.rate_hz`"),
         (
@@ -218,5 +222,5 @@ def test_mismatch_of_the_buoyancy_is_a_factor_on_the_whole_force() -> None:
     assert heavy.inertia_kg_m2[2] + heavy.added_inertia_kg_m2[2] == pytest.approx(0.8 * 0.30)
     with pytest.raises(ConfigError, match=r"surge_mass = 0\.6 leaves less than the hull"):
         mismatched(VEHICLE, {"surge_mass": 0.6})
-    with pytest.raises(ConfigError, match="'colour' is not a mismatch factor"):
+    with pytest.raises(ConfigError, match="factor 'colour' is not known"):
         mismatched(VEHICLE, {"colour": 1.0})
