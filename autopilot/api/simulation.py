@@ -165,7 +165,8 @@ class Simulation:
             controller's; cut to what the thrusters can and how fast they may change it.
         goal
             (3,) or (4,) north, east, depth [m] and yaw [rad] (left out or NaN = free) to go to from now on, in mode
-            GUIDED by set points, with the controller that was chosen. It holds until the next one.
+            GUIDED by set points, with the controller that was chosen. It holds until the next one. One beyond the
+            fence or the depths that are allowed changes nothing: ``info.events`` say why, and ``info.goal`` stays.
 
         Returns
         -------

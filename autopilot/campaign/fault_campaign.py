@@ -11,7 +11,7 @@ from pathlib import Path
 
 from autopilot.campaign.engines import Flyable, InProcess
 from autopilot.campaign.fault_cases import CASES, FaultCase
-from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
+from autopilot.campaign.fault_flights import SCENARIOS, FaultResult, fly_fault_case
 from autopilot.campaign.run_store import ResultStore, read_lines
 from autopilot.core.names import unknown
 
@@ -40,13 +40,13 @@ class FaultTask:
         return self.case.rule.name, self.scenario, self.seed
 
 
-def tasks(runs: int, rows: Sequence[str] = (), scenarios: Sequence[str] = tuple(PLANS)) -> list[FaultTask]:
+def tasks(runs: int, rows: Sequence[str] = (), scenarios: Sequence[str] = SCENARIOS) -> list[FaultTask]:
     """All flights of a campaign, run by run so that one that is stopped has something of every row.
 
     UnknownNameError for a row or scenario that does not exist.
     """
     names = [case.rule.name for case in CASES]
-    for what, given, known in (("row", rows, names), ("scenario", scenarios, tuple(PLANS))):
+    for what, given, known in (("row", rows, names), ("scenario", scenarios, SCENARIOS)):
         for name in given:
             if name not in known:
                 raise unknown(what, name, known)
@@ -104,7 +104,7 @@ def table(found: Sequence[FaultResult]) -> list[FaultRow]:
     """One row per failsafe and scenario."""
     rows = []
     for case in CASES:
-        for scenario in PLANS:
+        for scenario in SCENARIOS:
             mine = [result for result in found if (result.rule, result.scenario) == (case.rule.name, scenario)]
             if mine:
                 rows.append(_row(case, scenario, mine))

@@ -22,11 +22,11 @@ from autopilot.mavlink.api import FlightMode
 from autopilot.mission.clearance import Clearance
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.scenario import load_scenario, plan_path, scenario_path
 from autopilot.sitl.toml_text import toml_text
 
-PLANS = {"paper-tank": "paper.plan", "harbour": "harbour.mission.toml"}
-"""Scenarios that are flown, and what is flown in them."""
+SCENARIOS = ("paper-tank", "harbour")
+"""Each is flown with its plan."""
 
 CHECK_TICKS = 10
 STILL_M_S = 0.08
@@ -103,7 +103,7 @@ def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> Fa
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
         path.write_text(toml_text(_tables(case, scenario, at_s)), encoding="utf-8")
-        plan = scenario_path(scenario).parent / PLANS[scenario]
+        plan = plan_path(scenario, load_scenario(scenario))
         end_s = at_s + case.within_s + case.settle_s
         given = {"scenario": str(path), "sensors": "pose", "duration": end_s, "plan": str(plan)}
         parts = {"controller": case.controller, "estimator": case.estimator}

@@ -34,10 +34,10 @@ def faults(
     failsafe came late, did not end as promised, or something was touched, or if a flight could not be flown.
     """
     from autopilot.campaign.fault_campaign import fly_campaign, results, table, tasks
-    from autopilot.campaign.fault_flights import PLANS
+    from autopilot.campaign.fault_flights import SCENARIOS
     from autopilot.campaign.summary import not_flown
 
-    wanted = tasks(runs, rows, scenarios or tuple(PLANS))
+    wanted = tasks(runs, rows, scenarios or SCENARIOS)
     lost: list[str] = []
     for result in () if only_table else fly_campaign(out, wanted):
         if isinstance(result, str):

@@ -103,7 +103,8 @@ def _detour(flight: FlightRecord) -> list[BoundRow]:
     if not straight > 0.0:
         return []
     flown = path_length_m(flight.judged.between(Span(came[0][1], came[-1][1])))
-    return [row("Mission", "path length / straight-line length", "", flown / straight)]
+    note = "" if flown >= straight else "through the edges of acceptance balls"
+    return [row("Mission", "path length / straight-line length", "", flown / straight, note)]
 
 
 def _tracking(flight: FlightRecord) -> list[BoundRow]:

@@ -164,8 +164,8 @@ def test_bad_vehicle(autopilot: Command, tmp_path: Path, name: str) -> None:
         (("--connect", "/dev/nothing:57600"), 1, ("/dev/nothing", "check cable")),
         (("--plan", "missing.plan"), 2, ("missing.plan", "sitl --help")),
         (("--log", "/proc/none/run.mcap"), 1, ("/proc/none/run.mcap", "choose another place")),
-        (("--estimator", "ukf"), 2, ("'ukf'", "'ekf', 'complementary'")),
-        (("--controller", "pid"), 2, ("'--controller'", "'pid'", "'nmpc'", "package:Class")),
+        (("--estimator", "ukf"), 2, ("'ukf'", "use one of ekf, complementary")),
+        (("--controller", "pid"), 2, ("'--controller'", "'pid'", "use one of nmpc", "package:Class")),
         (("--controller", "nowhere:Pid"), 1, ("--controller 'nowhere:Pid'", "no module 'nowhere'", "PYTHONPATH")),
         (("--plant", "json:JSONEncoder"), 1, ("--plant 'json:JSONEncoder'", "PlantContext", "docs/extend.md")),
         (("--estimator", "json:Loud"), 1, ("--estimator 'json:Loud'", "has no 'Loud'")),
@@ -181,17 +181,17 @@ def test_bad_option(
 
 
 def test_start_needs_a_plan(autopilot: Command, tmp_path: Path) -> None:
-    _assert_refused(_sitl(autopilot, "open-water", "--start"), "--start", "open-water", "--plan FILE")
+    _assert_refused(_sitl(autopilot, "vortex", "--start"), "--start", "vortex", "--plan FILE")
     assert _files(tmp_path) == []
 
 
 @pytest.mark.parametrize(
     ("variable", "text", "use"),
     [
-        ("ESTIMATOR", "ukf", "use ekf or complementary"),
-        ("CONTROLLER", "pid", "use nmpc or los-pid, or package:Class"),
-        ("SENSORS", "sonar", "use camera or pose"),
-        ("PROFILE", "apm", "use generic, px4, ardusub"),
+        ("ESTIMATOR", "ukf", "use one of ekf, complementary"),
+        ("CONTROLLER", "pid", "use one of nmpc, los-pid, or package:Class"),
+        ("SENSORS", "sonar", "use one of camera, pose"),
+        ("PROFILE", "apm", "use one of generic, px4, ardusub"),
         ("SPEED", "-3", "use 0 or more"),
         ("SPEED", "fast", "not a number"),
         ("DURATION", "0", "above 0"),
@@ -215,7 +215,7 @@ PLANS = {
     "nan.plan": (re.sub(r"37\.97\d+", "NaN", PLAN_TEXT, count=1), ("nan.plan", "nan")),
     "short.waypoints": ("QGC WPL 110\n0\t1\t0\t16\n", ("short.waypoints: line 2", "4 columns")),
     "old.waypoints": ("QGC WPL 100\n", ("old.waypoints: line 1", "version 110")),
-    "typo.toml": ("[orign]\nlat_deg = 1.0\n", ("typo.toml", "orign")),
+    "typo.toml": ("[orign]\nlat_deg = 1.0\nlon_deg = 2.0\n", ("typo.toml", "orign")),
     "plan.doc": ("A - B - A", ("plan.doc", "use .plan")),
 }
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from autopilot.campaign import fault_campaign
 from autopilot.campaign.fault_campaign import fly_campaign, results, table, tasks
 from autopilot.campaign.fault_cases import CASES, FaultCase
-from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
+from autopilot.campaign.fault_flights import SCENARIOS, FaultResult, fly_fault_case
 from autopilot.cli.campaign import campaign
 from autopilot.command.failsafe_table import ROWS, FailsafeRow
 from autopilot.core.errors import ConfigError
@@ -46,7 +46,7 @@ def test_the_failsafe_comes_in_time_and_the_vehicle_ends_as_promised(case: Fault
 
 def test_what_a_flight_draws_depends_on_nothing_but_its_name() -> None:
     some, more = tasks(2), tasks(5)
-    assert len(some) == 2 * len(ROWS) * len(PLANS) and more[: len(some)] == some
+    assert len(some) == 2 * len(ROWS) * len(SCENARIOS) and more[: len(some)] == some
     assert [task.key for task in tasks(2, ["LEAK"])] == [task.key for task in some if task.case.rule.name == "LEAK"]
     assert len({task.at_s for task in more}) > len(more) // 2
     with pytest.raises(ConfigError, match="row 'LEEK' is not known; did you mean LEAK"):
