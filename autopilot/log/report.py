@@ -55,7 +55,8 @@ details { margin: 8px 0; } summary { cursor: pointer; }
 details.section { border-top: 1px solid #ddd; margin: 0; } .section > summary { font-size: 18px; padding: 8px 0; }
 @media (max-width: 860px) { .top { grid-template-columns: minmax(0, 1fr); } }
 @media (max-width: 640px) { .facts { columns: 1; } .section table { display: block; overflow-x: auto; }
-body { padding: 0 8px 32px; } h1, td:first-child { overflow-wrap: anywhere; } }
+body { padding: 0 8px 32px; } h1, td:first-child { overflow-wrap: anywhere; }
+.section td:first-child { min-width: 9em; } }
 """
 _SCRIPT = """
 function saveCsv(id, name) {
@@ -300,8 +301,8 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
 
 
 def _acceptance(rows: Sequence[BoundRow]) -> str:
-    out = ["<table><tr><th>quantity</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
-    out.append("<th>verdict</th><th></th></tr>\n")
+    out = ["<table><tr><th>quantity</th><th>verdict</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th>"]
+    out.append("<th>at [s]</th><th></th></tr>\n")
     subject = ""
     for row in rows:
         if row.subject != subject:
@@ -310,9 +311,8 @@ def _acceptance(rows: Sequence[BoundRow]) -> str:
         numbers = "".join(f'<td class="n">{format_figure(value)}</td>' for value in (row.limit, row.worst, row.margin))
         at = "" if row.at_s is None else f"{row.at_s:.2f}"
         out.append(
-            f'<tr class="row-{row.verdict.value}"><td>{html.escape(row.name)}</td>{numbers}<td>{row.unit}</td>'
-            f'<td class="n">{at}</td><td>{_badge(row.verdict)}</td>'
-            f'<td class="note">{html.escape(row.note)}</td></tr>\n'
+            f'<tr class="row-{row.verdict.value}"><td>{html.escape(row.name)}</td><td>{_badge(row.verdict)}</td>'
+            f'{numbers}<td>{row.unit}</td><td class="n">{at}</td><td class="note">{html.escape(row.note)}</td></tr>\n'
         )
     return "".join(out) + "</table>"
 

@@ -6,6 +6,7 @@ import { RATES } from "./player.js";
 
 const SMALL_S = 0.1, LARGE_S = 1, AT_END_S = 0.05;
 const SPANS = [["1 min", 60], ["10 min", 600]];
+const ANYWHERE = [" ", "ArrowLeft", "ArrowRight", "n", "p"]; // keys of a log's page; the others scroll it
 const EVENT_LENGTH = 60; // letters of a message in the list
 
 // `source`: { begin, end, now, live: whether it is the present, playing, events, history(span_s), window(span_s), seek(t_s), toEnd(), play(on), rate(times) }.
@@ -53,7 +54,7 @@ export class Timeline {
     if (found !== undefined) this.to(found);
   }
 
-  // Space plays, arrows step, Home and End go to the ends, Escape back to the present.
+  // Space plays, arrows step, N and P go from message to message, Home and End to the ends, Escape back to the present.
   key(event) {
     const { source } = this, tag = event.target.tagName;
     if (!plainKey(event) || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
@@ -62,10 +63,10 @@ export class Timeline {
       " ": () => source.play(!source.playing),
       ArrowLeft: () => this.to(source.now - step), ArrowRight: () => this.to(source.now + step),
       ArrowDown: () => this.to(source.now - step), ArrowUp: () => this.to(source.now + step),
-      PageDown: () => this.event(-1), PageUp: () => this.event(1),
+      PageDown: () => this.event(-1), PageUp: () => this.event(1), p: () => this.event(-1), n: () => this.event(1),
       Home: () => this.to(source.begin), End: () => this.to(source.end), Escape: () => source.toEnd(),
     }[event.key];
-    if (!work || (event.target === document.body && event.key !== " " && !event.key.startsWith("ArrowL") && !event.key.startsWith("ArrowR"))) return;
+    if (!work || (event.target === document.body && !ANYWHERE.includes(event.key))) return;
     event.preventDefault();
     work();
   }
