@@ -3,6 +3,7 @@
 :func:`autopilot.mission.item_types.parse_step` makes them from items.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
@@ -226,3 +227,25 @@ Timed: TypeAlias = Travel | LoiterTurns | Passage | Wait
 """Steps that take time; all others are done in passing."""
 Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | RegionOfInterest | NoOp | Order
 Step: TypeAlias = Timed | Instant
+
+
+def flown_order(
+    steps: Sequence[Step], most: int, cursor: int = 0, jumps_done: Iterable[tuple[int, int]] = ()
+) -> Iterator[Step]:
+    """Steps but jumps as they are flown from ``cursor`` on, ``most`` at the most, jumps among them counted.
+
+    ``jumps_done``: (step of a jump, how often it was made). Jumps without an end are not made.
+    """
+    done = dict(jumps_done)
+    for _ in range(most):
+        if not 0 <= cursor < len(steps):
+            return
+        step = steps[cursor]
+        made = done.get(cursor, 0)
+        if isinstance(step, Jump) and step.count is not None and made < step.count:
+            done[cursor] = made + 1
+            cursor = step.target_seq
+            continue
+        if not isinstance(step, Jump):
+            yield step
+        cursor += 1

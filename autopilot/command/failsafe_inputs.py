@@ -13,7 +13,7 @@ from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.goals import Goals
-from autopilot.mission.items import Jump, Step
+from autopilot.mission.items import Step, flown_order
 from autopilot.mission.sequencer import Position, Sequencer
 from autopilot.mission.store import Plans
 
@@ -178,22 +178,11 @@ class FailsafeInputs:
 
 def remaining_distance_m(steps: Sequence[Step], position: Position) -> float:
     """Length of a mission from the goal of ``position`` on. Jumps without an end are not made."""
-    done = dict(position.jumps_done)
-    cursor, last, distance_m = position.cursor, None, 0.0
-    for _ in range(FAILSAFE_INPUTS.max_steps):
-        if not 0 <= cursor < len(steps):
-            break
-        step = steps[cursor]
-        if isinstance(step, Jump):
-            made = done.get(cursor, 0)
-            if step.count is not None and made < step.count:
-                done[cursor] = made + 1
-                cursor = step.target_seq
-                continue
+    last, distance_m = None, 0.0
+    for step in flown_order(steps, FAILSAFE_INPUTS.max_steps, position.cursor, position.jumps_done):
         place = getattr(step, "pos_ned_m", None)
         if place is not None:
             here = tuple(place.tolist())
             distance_m += 0.0 if last is None else math.dist(here, last)
             last = here
-        cursor += 1
     return distance_m

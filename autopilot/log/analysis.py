@@ -392,17 +392,21 @@ def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray
     return distance, np.abs(wrap(track.rpy_rad[:, 2] - waypoint.yaw_rad))
 
 
-def visits(track: VehicleTrack, run: RunDescription) -> list[Visit]:
-    """The tour required of the run with the result of each visit: every waypoint in order, lap by lap."""
+def visit_order(run: RunDescription) -> list[tuple[Waypoint, int]]:
+    """The tour required of the run: every waypoint in order, with its lap (from 1)."""
     points, laps = run.waypoints, run.accept.laps or 1
-    if not points:
-        return []
+    if run.tour:
+        return [(points[number], 1) for number in run.tour]
     closed = run.closed_tour and len(points) > 1
-    order = [(waypoint, lap) for lap in range(1, laps + 1) for waypoint in points] + [(points[0], laps)] * closed
-    errors = {id(waypoint): waypoint_errors(track, waypoint) for waypoint in points}
+    return [(point, lap) for lap in range(1, laps + 1) for point in points] + [(points[0], laps) for _ in range(closed)]
+
+
+def visits(track: VehicleTrack, run: RunDescription) -> list[Visit]:
+    """The tour required of the run with the result of each visit."""
+    errors = {id(waypoint): waypoint_errors(track, waypoint) for waypoint in run.waypoints}
     found: list[Visit] = []
     at = 0
-    for waypoint, lap in order:
+    for waypoint, lap in visit_order(run):
         visit, at = _visit(track, waypoint, lap, errors[id(waypoint)], at)
         found.append(visit)
     return found
@@ -433,8 +437,8 @@ def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> lis
     """Start and end of every completed lap, from its first waypoint to its last. A lap of a single waypoint is the
     path to it, from ``begun_s`` or from the visit before.
     """
-    size = len(run.waypoints)
-    closed = run.closed_tour and size > 1
+    size = len(run.tour or run.waypoints)
+    closed = run.closed_tour and size > 1 and not run.tour
     spans: list[Span] = []
     for lap in range(run.accept.laps or 1):
         steps = tour[lap * size : (lap + 1) * size + closed]

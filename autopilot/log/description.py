@@ -161,6 +161,8 @@ class RunDescription:
     """In the order of one lap."""
     closed_tour: bool = True
     """A lap ends at the first waypoint again (A-B-A); False = at the last one."""
+    tour: tuple[int, ...] = ()
+    """Numbers of the waypoints (from 0) as the mission visits them; empty = laps of all of them."""
     accept: AcceptBounds = field(default_factory=AcceptBounds)
     paper_bounds: dict[str, float] = field(
         default_factory=lambda: {"planar_speed_m_s": 0.5, "heave_m_s": 0.25, "yaw_rate_rad_s": 1.0, "thrust_n": 12.0}

@@ -1,6 +1,7 @@
 """Description of a run in its log (``run.json``): geometry, plan, bounds and parameters; common to all vehicles."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import msgspec
 
@@ -9,14 +10,17 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, CameraView, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
-from autopilot.mission.items import GoTo, Jump
+from autopilot.mission.items import GoTo, Jump, Step, flown_order
 from autopilot.mission.store import Plans
+
+MOST_STEPS = 1000
+"""Of a mission, with its jumps made, that a log is judged by."""
 
 
 def describe_service(parts: ServiceParts, place: str) -> RunDescription:
     """The service's part of the run description at this time; ``place``: site or scenario."""
     params = parts.params
-    waypoints, laps = _tour(parts)
+    tour = tour_of(parts.plans.steps(), params)
     return RunDescription(
         scenario=place,
         vehicle=parts.vehicle.name,
@@ -29,9 +33,10 @@ def describe_service(parts: ServiceParts, place: str) -> RunDescription:
         camera=None if parts.vehicle.camera is None else _camera(CameraModel.of_vehicle(parts.vehicle)),
         thruster_names=tuple(thruster.name for thruster in parts.vehicle.thrusters),
         fence=fence_shapes(parts.commander.fence),
-        waypoints=waypoints,
-        closed_tour=laps is not None,
-        accept=AcceptBounds.of_limits(params, laps),
+        waypoints=tour.waypoints,
+        closed_tour=tour.closed,
+        tour=tour.order,
+        accept=AcceptBounds.of_limits(params, tour.laps),
         paper_bounds={
             "planar_speed_m_s": params["SPD_PLANAR_MAX"],
             "heave_m_s": params["SPD_HEAVE_MAX"],
@@ -66,28 +71,45 @@ def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
     return msgspec.json.encode({kind.name.lower(): items[kind] for kind in PlanKind})
 
 
-def _tour(parts: ServiceParts) -> tuple[tuple[Waypoint, ...], int | None]:
-    """Positions of one lap, and number of laps (None = no tour of laps)."""
-    steps = parts.plans.steps()
-    params = parts.params
-    places = [(step, step.pos_ned_m) for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
-    jump = next((step for step in steps if isinstance(step, Jump)), None)
-    laps = None if jump is None or jump.count is None else jump.count + 1
-    if jump is not None:
-        places = [(step, pos) for step, pos in places if step.seq < jump.seq]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tour:
+    """What a mission visits, as :class:`autopilot.log.description.RunDescription` has it."""
+
+    waypoints: tuple[Waypoint, ...]
+    laps: int | None = None
+    """None = it is no tour of laps."""
+    closed: bool = False
+    order: tuple[int, ...] = ()
+
+
+def tour_of(steps: Sequence[Step], params: Mapping[str, float]) -> Tour:
+    """What a mission of these steps visits."""
+    places = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
+    waypoints = tuple(_waypoint(number, step, params) for number, step in enumerate(places))
+    jumps = [step for step in steps if isinstance(step, Jump)]
+    if not jumps:
+        return Tour(waypoints=waypoints)
+    jump = jumps[0]
+    repeated = jump.count is not None and len(jumps) == 1 and all(step.seq < jump.seq for step in places)
+    before = sum(step.seq < jump.target_seq for step in places)
+    if repeated and jump.count is not None and before == 0:
+        return Tour(waypoints=waypoints, laps=jump.count + 1)
+    if repeated and jump.count is not None and before == 1 and waypoints[-1].pos_ned_m == waypoints[0].pos_ned_m:
         # A-B-A with a jump back to B: the last place closes the lap at the first one.
-        if len(places) > 1 and bool((places[-1][1] == places[0][1]).all()):
-            places = places[:-1]
-    waypoints = []
-    for index, (step, pos_ned_m) in enumerate(places):
-        north, east, down = pos_ned_m.tolist()
-        waypoints.append(
-            Waypoint(
-                name=chr(ord("A") + index) if index < 26 else str(index),
-                pos_ned_m=(north, east, down),
-                yaw_rad=step.yaw_rad,
-                accept_radius_m=step.accept_radius_m or params["WP_ACCEPT_RADIUS"],
-                accept_yaw_rad=params["WP_ACCEPT_YAW"],
-            )
-        )
-    return tuple(waypoints), laps
+        return Tour(waypoints=waypoints[:-1], laps=jump.count + 1, closed=True)
+    endless = [step.seq for step in jumps if step.count is None]
+    numbers = {step.seq: number for number, step in enumerate(places) if step.seq < min(endless, default=len(steps))}
+    order = (numbers.get(step.seq) for step in flown_order(steps, MOST_STEPS))
+    return Tour(waypoints=waypoints, order=tuple(number for number in order if number is not None))
+
+
+def _waypoint(number: int, step: GoTo, params: Mapping[str, float]) -> Waypoint:
+    assert step.pos_ned_m is not None
+    north, east, down = step.pos_ned_m.tolist()
+    return Waypoint(
+        name=chr(ord("A") + number) if number < 26 else str(number),
+        pos_ned_m=(north, east, down),
+        yaw_rad=step.yaw_rad,
+        accept_radius_m=step.accept_radius_m or params["WP_ACCEPT_RADIUS"],
+        accept_yaw_rad=params["WP_ACCEPT_YAW"],
+    )
