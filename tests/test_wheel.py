@@ -100,7 +100,12 @@ def test_a_built_wheel_puts_one_package_among_those_of_others(wheel: Path) -> No
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name and ".data/" not in name} == {"autopilot"}
     beside = {name.split(".data/")[1] for name in names if ".data/" in name}
-    assert {path.rsplit("/", 1)[0] for path in beside} == {"data/share/underwater-autopilot"}
+    assert {path.rsplit("/", 1)[0] for path in beside} == {
+        "data/share/underwater-autopilot",
+        "data/share/underwater-autopilot/examples",
+    }
+    examples = {path.rsplit("/", 1)[1] for path in beside if "/examples/" in path}
+    assert examples == {path.name for path in (ROOT / "docs" / "examples").iterdir() if path.is_file()}
 
 
 class Installed:

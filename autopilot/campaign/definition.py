@@ -40,6 +40,8 @@ class CampaignIdentity(msgspec.Struct, frozen=True, kw_only=True):
     sensors: str | None
     duration_s: float | None
     params: dict[str, float]
+    own_code: dict[str, str] = {}
+    """SHA-256 of the files of a controller, an estimator, a plant that do not ship, by kind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -115,9 +117,11 @@ def define(
     if given:
         scenario = msgspec.structs.replace(scenario, plugins=msgspec.structs.replace(scenario.plugins, **given))
         tables = {**tables, "plugins": {**tables.get("plugins", {}), **given}}
-    find_controller(scenario.plugins.controller, "--controller")
-    find_estimator(scenario.plugins.estimator, "--estimator")
-    find_plant(scenario.plugins.plant, "--plant")
+    plugins = (
+        find_controller(scenario.plugins.controller, "--controller"),
+        find_estimator(scenario.plugins.estimator, "--estimator"),
+        find_plant(scenario.plugins.plant, "--plant"),
+    )
     plan = plan_path(name_or_path, scenario)
     if plan is None:
         raise ConfigError(f"scenario {scenario.scenario.name!r} has no plan; name one in scenario.plan")
@@ -141,6 +145,7 @@ def define(
         sensors=sensors,
         duration_s=duration_s,
         params=params or {},
+        own_code={plugin.kind: plugin.sha256 for plugin in plugins if plugin.sha256},
     )
     return Campaign(identity=identity, scenario=scenario, tables=tables)
 

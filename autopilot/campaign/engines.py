@@ -7,8 +7,10 @@ import importlib
 import logging
 import multiprocessing
 import os
+import select
 import signal
 import sys
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -223,7 +225,7 @@ class LocalPool:
 
     @contextmanager
     def _pool(self, processes: int, halt: Any) -> Iterator[cf.ProcessPoolExecutor]:
-        given = (processes, self._context, _begin_worker, (halt,))
+        given = (processes, self._context, _begin_worker, (halt, os.getpid()))
         with safe_path(), _single_threaded(), cf.ProcessPoolExecutor(*given) as pool:
             yield pool
 
@@ -252,9 +254,22 @@ _halt: Any = None
 """In a worker process: its value is 1 when it is to stop."""
 
 
-def _begin_worker(halt: Any) -> None:
-    """Initialiser of a worker process, which ignores SIGINT: the parent handles it."""
+def _end_with(owner: int) -> None:
+    """End this process with the campaign's, however that ended: a worker waits for tasks forever."""
+    try:
+        process = os.pidfd_open(owner)
+    except ProcessLookupError:
+        os._exit(1)
+    except (AttributeError, OSError):  # not Linux, or an old kernel
+        return
+    select.select([process], [], [])
+    os._exit(1)
+
+
+def _begin_worker(halt: Any, owner: int) -> None:
+    """Initialiser of a worker process of the process ``owner``. It ignores SIGINT: the parent handles it."""
     global _halt
+    threading.Thread(target=_end_with, args=(owner,), name="owner", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _halt = halt

@@ -2,13 +2,15 @@
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from autopilot.campaign.judge import judge
 from autopilot.campaign.results import RunResult, Task
 from autopilot.campaign.tick_watch import TickWatch
+from autopilot.core.errors import ConfigError
 from autopilot.run.config import EffectiveSettings, flight_settings
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_session import SitlSession, open_sitl
@@ -63,7 +65,7 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         The run cannot be flown.
     """
     cpu_s = time.process_time()
-    with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
+    with tempfile.TemporaryDirectory(prefix="campaign-") as folder, _without(folder):
         settings = settings_of(task, Path(folder), log)
         flown = run_watched(settings, task.params, TickWatch, stop, lambda watch: watch.over)
         if flown is None:
@@ -71,6 +73,21 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         session, watch = flown
         run = describe_run(session.scenario, session.parts, seed=task.seed, speed=0.0)
         return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
+
+
+def check(task: Task) -> None:
+    """Open a run without flying it. AutopilotError if that is not possible."""
+    with tempfile.TemporaryDirectory(prefix="campaign-") as folder, _without(folder):
+        open_sitl(settings_of(task, Path(folder)), task.params, log=False).close()
+
+
+@contextmanager
+def _without(folder: str) -> Iterator[None]:
+    """Errors without the folder, which is another one in every run and soon gone."""
+    try:
+        yield
+    except ConfigError as error:
+        raise type(error)(str(error).replace(f"{folder}/", "")) from error
 
 
 def settings_of(task: Task, folder: Path, log: Path | None = None) -> EffectiveSettings:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from autopilot.campaign.definition import CampaignIdentity
@@ -15,6 +16,7 @@ from autopilot.campaign.results import RunResult
 from autopilot.campaign.run_store import read_identity, read_results
 from autopilot.campaign.summary import CONFIDENCE, failure_interval
 from autopilot.core.params import ParamSet
+from autopilot.sitl.scenario_tables import Plugins
 
 MODE = "MPC_COST"
 MODES = {0.0: "quadratic", 1.0: "least energy"}
@@ -122,7 +124,7 @@ def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow
     flown = [each for each in runs if each.flown]
     return TableRow(
         scenario=identity.scenario["scenario"]["name"],
-        mode=MODES.get(_mode(identity), f"{MODE} {_mode(identity):g}"),
+        mode=", ".join((_cost(identity), *own_parts(identity).values())),
         params={name: value for name, value in identity.params.items() if name != MODE},
         revision=identity.revision,
         runs=len(runs),
@@ -166,12 +168,12 @@ def table_of(folders: Sequence[Path]) -> tuple[list[TableRow], list[Pairing]]:
     read = [(read_identity(folder), read_results(folder)) for folder in folders]
     rows = [row_of(identity, results.values()) for identity, results in read]
     pairs = []
-    for scenario in dict.fromkeys(row.scenario for row in rows):
-        mine = {
-            _mode(identity): results
-            for (identity, results), row in zip(read, rows, strict=True)
-            if row.scenario == scenario
-        }
+    compared: dict[tuple[str, ...], dict[float, dict[int, RunResult]]] = {}
+    for (identity, results), row in zip(read, rows, strict=True):
+        parts = own_parts(identity)
+        if "controller" not in parts:  # another one has no cost of ours
+            compared.setdefault((row.scenario, *parts.values()), {})[_mode(identity)] = results
+    for (scenario, *_), mine in compared.items():
         pair = pairing(scenario, mine.get(0.0, {}), mine.get(1.0, {}))
         if pair is not None:
             pairs.append(pair)
@@ -223,6 +225,19 @@ def pair_text(pair: Pairing) -> str:
 
 def _line(texts: Iterable[str]) -> str:
     return f"| {' | '.join(texts)} |"
+
+
+def own_parts(identity: CampaignIdentity) -> dict[str, str]:
+    """Controller, estimator and plant by kind, where they are not the default."""
+    given = {**identity.scenario.get("plugins", {}), "estimator": identity.estimator}
+    usual = msgspec.structs.asdict(Plugins())
+    return {kind: given[kind] for kind in usual if given.get(kind, usual[kind]) != usual[kind]}
+
+
+def _cost(identity: CampaignIdentity) -> str:
+    if "controller" in own_parts(identity):
+        return "own cost"
+    return MODES.get(_mode(identity), f"{MODE} {_mode(identity):g}")
 
 
 def _mode(identity: CampaignIdentity) -> float:

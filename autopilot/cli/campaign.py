@@ -16,7 +16,7 @@ import click
 
 from autopilot.cli.click_types import FiniteRange, OneOf
 from autopilot.cli.completion import SCENARIO_NAME
-from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table, progress_bar
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, make_console, print_table, progress_bar
 from autopilot.cli.service_options import part_name
 from autopilot.cli.shared_options import (
     CAMPAIGN_OUT,
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from autopilot.campaign.results import RunResult
     from autopilot.campaign.run_store import Shard
     from autopilot.campaign.summary import Summary
+
+ALL_FIT = 110
+"""Characters of a line from which on all percentiles are shown."""
 
 
 class _Show(Protocol):
@@ -169,6 +172,10 @@ def fly(
         params=parse_overrides(param),
         vehicle=vehicle,
     )
+    if defined.identity.own_code:
+        from autopilot.campaign.flight import check  # all that flies
+
+        check(defined.task(0))
     name = defined.scenario.scenario.name
     results, stopped = _fly(defined, make_engine(engine, jobs), out, runs, Shard.parse(shard), quiet=as_json)
     if stopped:
@@ -285,16 +292,20 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
         ("quantity", "bound", "value", "verdict", "note"),
         [(bar.name, bar.bar, bar.value, held[bar.held], bar.note) for bar in summary.bars],
     )
-    heads = tuple("min" if p == 0.0 else "max" if p == 100.0 else f"p{p:g}" for p in PERCENTILES)
+    shown = [at for at, p in enumerate(PERCENTILES) if make_console().width >= ALL_FIT or p in (0.0, 50.0, 100.0)]
+    heads = tuple({0.0: "min", 100.0: "max"}.get(PERCENTILES[at], f"p{PERCENTILES[at]:g}") for at in shown)
     print_table(
         "worst margin of each run (distance from the bound itself)",
         ("bound", "unit", *heads, "broken", "beyond tolerance"),
-        [(m.name, m.unit, *(f"{v:.4f}" for v in m.percentiles), m.broken, m.beyond) for m in summary.margins],
+        [
+            (m.name, m.unit, *(f"{m.percentiles[at]:.4f}" for at in shown if m.percentiles), m.broken, m.beyond)
+            for m in summary.margins
+        ],
     )
     print_table(
         "distributions",
         ("", "unit", "count", *heads),
-        [(f.name, f.unit, f.count, *(f"{v:.4g}" for v in f.percentiles)) for f in summary.figures],
+        [(f.name, f.unit, f.count, *(f"{f.percentiles[at]:.4g}" for at in shown)) for f in summary.figures],
     )
     listed = [(result, "failed") for result in summary.failed] + [(result, "") for result in summary.within_tolerance]
     if listed:
@@ -309,8 +320,8 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
             )
             for r, verdict in listed
         ]
-        heads = ("run", "seed", "", "what", "file", "log")
-        print_table("runs to look at (autopilot sitl FILE --speed 0 --start)", heads, rows)
+        columns = ("run", "seed", "", "what", "file", "log")
+        print_table("runs to look at (autopilot sitl FILE --speed 0 --start)", columns, rows)
     if logs:
         click.echo(f"logs of the worst runs: {', '.join(str(path) for path in logs.values())}")
 

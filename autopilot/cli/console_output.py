@@ -32,6 +32,8 @@ def _finite(value: Any) -> Any:
     return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
+SPEED_OVER_S = 3600.0
+"""The time that remains is told from the steps of so long: one may take minutes."""
 FILE_WIDTH = 140
 """Columns of a table that does not go to a terminal."""
 
@@ -53,7 +55,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     table = Table(title=escape(title), title_justify="left")
     for index, column in enumerate(columns):
         numeric = bool(rows) and all(_is_number(row[index]) for row in rows)
-        table.add_column(escape(column), justify="right" if numeric else "left")
+        table.add_column(escape(column), justify="right" if numeric else "left", no_wrap=numeric)
     for row in rows:
         table.add_row(*[escape(str(cell)) for cell in row])
     make_console().print(table)
@@ -84,5 +86,5 @@ def progress_bar(
         return
     times = [progress.TimeElapsedColumn()] * elapsed + [progress.TimeRemainingColumn()] * remaining
     columns = (progress.TextColumn(text), progress.BarColumn(), progress.MofNCompleteColumn(), *times)
-    with progress.Progress(*columns, console=console, transient=transient) as bar:
+    with progress.Progress(*columns, console=console, transient=transient, speed_estimate_period=SPEED_OVER_S) as bar:
         yield bar

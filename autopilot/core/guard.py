@@ -128,7 +128,9 @@ class Guard:
 
 
 def place_of(error: Exception) -> str:
-    """File, line and function that raised it."""
+    """File, line and function that raised it; of a module that is not Python, the line in it."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{Path(error.filename).name}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
     return f"{Path(frames[-1].filename).name}:{frames[-1].lineno} in {frames[-1].name}" if frames else "unknown"
 

@@ -16,9 +16,9 @@ from importlib.metadata import EntryPoint, entry_points, packages_distributions,
 from pathlib import Path
 from typing import Any
 
-from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.core.errors import AutopilotError, ConfigError, UnknownNameError
 from autopilot.core.guard import place_of
-from autopilot.core.names import unknown
+from autopilot.core.names import did_you_mean, unknown
 
 GROUP = "underwater_autopilot.{kind}s"
 """Group of entry points: underwater_autopilot.controllers, .estimators, .plants."""
@@ -147,14 +147,16 @@ def _imported(target: str, who: str) -> Callable[..., Any]:
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(f"{error.name}.")):
             remedy = "install its package, or put the folder that holds it on PYTHONPATH"
-            raise ConfigError(f"{who}: there is no module {error.name!r}; {remedy}") from error
+            raise UnknownNameError(f"{who}: there is no module {error.name!r}; {remedy}") from error
         raise ConfigError(f"{who}: needs the module {error.name!r}, which is not there; install it") from error
     except Exception as error:
         raise ConfigError(f"{who}: cannot be imported: {_one_line(error)}; correct it there") from error
     found: Any = module
     for part in path.split("."):
         if not hasattr(found, part):
-            raise ConfigError(f"{who}: {module_name} has no {path!r}; correct the name after the colon")
+            public = [name for name, value in vars(module).items() if isinstance(value, type) and name[:1] != "_"]
+            meant = did_you_mean(path, public)
+            raise UnknownNameError(f"{who}: {module_name} has no {path!r}; {meant}correct the name after the colon")
         found = getattr(found, part)
     if not callable(found):
         raise ConfigError(f"{who}: is a {type(found).__name__}; name a class, or a function that makes one")

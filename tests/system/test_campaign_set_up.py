@@ -1,9 +1,11 @@
 """Campaigns whose runs cannot be set up: the cause is named and no bound called broken; mended, they are flown."""
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,11 +13,13 @@ import pytest
 from click.testing import CliRunner, Result
 
 from autopilot.campaign import engines, fault_campaign
+from autopilot.campaign.definition import define
 from autopilot.campaign.engines import InProcess
 from autopilot.campaign.run_store import read_results
 from autopilot.campaign.worlds import vehicles
 from autopilot.campaign.worlds.world_store import read_flights
 from autopilot.cli.main import cli
+from autopilot.core.errors import ConfigError
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import autopilot_command
@@ -91,6 +95,70 @@ def test_once_mended_the_same_command_flies_them(tmp_path: Path, monkeypatch: py
     (result,) = read_results(tmp_path / "out").values()
     assert result.flown and result.simulated_s == SHORT_S
     assert "A BOUND IS BROKEN; runs in" in done.stdout, "nobody finishes laps in that time"
+
+
+OWN = """
+from autopilot.control.protocol import Controller, simple_output
+import numpy as np
+
+class Still(Controller):
+    def __init__(self, given):
+        {begin}
+    def reset(self): pass
+    def step(self, t_us, nav, goal, fence, params, thruster_limit_n, tracks, *, delay_s):
+        return simple_output(t_us, nav, np.zeros(len(thruster_limit_n)))
+"""
+
+
+def test_a_class_that_cannot_be_made_is_refused_before_there_is_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "no_licence.py").write_text(OWN.format(begin='raise ValueError("no licence")'))
+    arguments = (short(tmp_path, "r1"), "--runs", "40", "--out", str(tmp_path / "out"), "--jobs", "1", "--no-figures")
+    with pytest.raises(ConfigError, match=r"^scenario\.toml: .*'no_licence:Still': cannot be made: .*no licence"):
+        CliRunner().invoke(cli, ["campaign", *arguments, "--controller", "no_licence:Still"], catch_exceptions=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_runs_of_an_edited_class_are_another_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    module = tmp_path / "edited_later.py"
+    module.write_text(OWN.format(begin="pass"))
+    scenario = short(tmp_path, "r1")
+    first, again = (define(scenario, controller="edited_later:Still").identity for _ in range(2))
+    module.write_text(OWN.format(begin="self.gain = 2.0"))
+    edited = define(scenario, controller="edited_later:Still").identity
+    assert first == again != edited and define(scenario).identity.own_code == {}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no pidfd")
+def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ("campaign", "r1", "--runs", "40", "--duration", "60", "--jobs", "2", "--out", str(out), "--no-figures")
+    with subprocess.Popen(autopilot_command(*arguments), start_new_session=True, stderr=subprocess.DEVNULL) as made:
+
+        def alive() -> int:
+            pids = [entry.name for entry in Path("/proc").iterdir() if entry.name.isdecimal()]
+            return sum(session_of(pid) == made.pid for pid in pids)
+
+        wait_for(lambda: list(out.glob("runs*.jsonl")) and alive() > 2)
+        made.kill()
+    wait_for(lambda: alive() == 0)
+
+
+def session_of(pid: str) -> int:
+    with contextlib.suppress(OSError):
+        return os.getsid(int(pid))
+    return 0
+
+
+def wait_for(done: Callable[[], object]) -> None:
+    """A busy machine may take long; only what never comes fails."""
+    until_s = time.monotonic() + 300.0
+    while not done():
+        assert time.monotonic() < until_s
+        time.sleep(0.1)
 
 
 def test_sets_name_the_set_and_the_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

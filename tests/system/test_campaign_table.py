@@ -56,9 +56,9 @@ def flown(number: int, seed: int, energy_j: float, **more: Any) -> RunResult:
     return RunResult(run=number, seed=seed, drawn={"x": float(number)}, **told)
 
 
-def keep(out: Path, cost: float, results: list[RunResult]) -> Path:
+def keep(out: Path, cost: float, results: list[RunResult], controller: str | None = None) -> Path:
     """A folder as a campaign leaves it."""
-    store = Store(out, define("r1", params={"MPC_COST": cost}), Shard())
+    store = Store(out, define("r1", params={"MPC_COST": cost}, controller=controller), Shard())
     for result in results:
         store.append(result)
     store.close()
@@ -102,6 +102,12 @@ def test_modes_are_compared_run_by_run(both: tuple[str, str], tmp_path: Path) ->
     assert pair["ratio"]["low"] <= pair["ratio"]["median"] <= pair["ratio"]["high"] < 0.57
     other = keep(tmp_path / "other", 1.0, [flown(k, 200 + k, 500.0) for k in range(10)])
     assert json.loads(print_table(both[0], str(other), "--json"))["pairs"] == [], "other seeds are other vehicles"
+
+
+def test_another_controller_is_named_and_no_cost_of_ours(both: tuple[str, str], tmp_path: Path) -> None:
+    other = keep(tmp_path / "other", 1.0, [flown(k, 100 + k, 500.0) for k in range(10)], "los-pid")
+    found = json.loads(print_table(both[0], str(other), "--json"))
+    assert [row["mode"] for row in found["rows"]] == ["quadratic", "own cost, los-pid"] and found["pairs"] == []
 
 
 def test_markdown_has_a_row_per_folder_and_the_comparison(both: tuple[str, str]) -> None:
