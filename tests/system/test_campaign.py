@@ -268,6 +268,7 @@ def test_the_worst_runs_have_logs_of_the_same_run(flown: tuple[Path, str, Any]) 
     logs = logs_of(results, 1, out, defined.task, lambda: False, said.append)
     assert said == [], "it flies as it did without a log"
     (run,) = logs
+    assert {path.name for path in logs[run].parent.iterdir()} == {f"run-{run:04d}.mcap", f"run-{run:04d}.tlog"}
     assert run == worst_first(results)[0].run
     rows = {row.name: row for row in acceptance_table(open_log(logs[run]))}
     worst = rows["distance to cylinder 1"].worst
