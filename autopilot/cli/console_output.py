@@ -55,7 +55,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     table = Table(title=escape(title), title_justify="left")
     for index, column in enumerate(columns):
         numeric = bool(rows) and all(_is_number(row[index]) for row in rows)
-        table.add_column(escape(column), justify="right" if numeric else "left", no_wrap=numeric)
+        table.add_column(escape(column), justify="right" if numeric else "left")
     for row in rows:
         table.add_row(*[escape(str(cell)) for cell in row])
     make_console().print(table)

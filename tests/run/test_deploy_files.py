@@ -21,7 +21,8 @@ def test_the_unit_names_files_that_a_wheel_installs() -> None:
     program = re.search(r"ExecStart=(\S+)/bin/autopilot ", unit)
     page = re.search(r"Documentation=file:(\S+)", unit)
     assert program is not None and page is not None
-    ((folder, files),) = installed.items()
+    folder = "share/underwater-autopilot"
+    files = installed[folder]
     assert page[1] == f"{program[1]}/{folder}/deploy.md"
     assert all((ROOT / file).is_file() for file in files) and str(UNIT.relative_to(ROOT)) in files
 

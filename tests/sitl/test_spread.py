@@ -80,7 +80,7 @@ def test_a_drawn_scenario_is_a_file_of_its_own(tmp_path: Path) -> None:
 WRONG: dict[str, tuple[str, str]] = {
     "unknown factor": (
         '"vehicle.mismatch.colour" = { low = 0.9, high = 1.1 }',
-        r'`\$\.spread\."vehicle\.mismatch\.colour"` = 0\.9: .*\'colour\' is not a mismatch factor',
+        r'`\$\.spread\."vehicle\.mismatch\.colour"` = 0\.9: .*\'colour\' is not known',
     ),
     "unknown key": ('"sensors.pose.smell" = { low = 0.0, high = 1.0 }', r"pose\.smell.*unknown field `smell`"),
     "low out of range": ('"current.speed_m_s" = { low = 0.1, high = 0.05 }', r"`high` = 0\.05 is below `low` = 0\.1"),
@@ -91,7 +91,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "not a number": ('"vehicle.model" = { low = 0.0, high = 1.0 }', r'"vehicle\.model"` = 0\.0: Expected `str`'),
     "no such element": ('"fault[1].at_s" = { low = 0.0, high = 1.0 }', r"there is no element \[1\]"),
     "through a number": ('"current.speed_m_s.x" = { low = 0.0, high = 1.0 }', "there is no key 'x'"),
-    "no such thruster": ('"fault[0].thruster" = { choice = ["left"] }', r"= left: .*'left' does not exist"),
+    "no such thruster": ('"fault[0].thruster" = { choice = ["left"] }', r"= left: .*'left' is not known"),
     "no bounds": ('"current.speed_m_s" = {}', "give `low` and `high`, or `choice`"),
     "half of them": ('"current.speed_m_s" = { low = 0.1 }', "give `low` and `high`, or `choice`"),
     "misspelt bound": (
