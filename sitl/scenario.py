@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from autopilot.core.errors import ConfigError, UnknownNameError
+from autopilot.core.errors import ConfigError
 from autopilot.core.names import unknown
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import convert, mistaken, read_toml
@@ -130,7 +130,7 @@ def _mistakes_of_vehicle(scenario: Scenario) -> list[str]:
     """An unknown vehicle, impossible mismatch, faults of thrusters that it does not have."""
     try:
         vehicle = load_vehicle(scenario.vehicle.model)
-    except UnknownNameError as error:
+    except ConfigError as error:
         return [f"`$.vehicle.model`: {error}"]
     applied = partial(mismatched, vehicle, where="`$.vehicle.mismatch`")
     mismatch = scenario.vehicle.mismatch

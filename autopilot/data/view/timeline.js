@@ -58,15 +58,15 @@ export class Timeline {
   key(event) {
     const { source } = this, tag = event.target.tagName;
     if (!plainKey(event) || tag === "SELECT" || (event.key === " " && (tag === "BUTTON" || !this.log))) return;
-    const step = event.shiftKey ? LARGE_S : SMALL_S;
+    const step = event.shiftKey ? LARGE_S : SMALL_S, key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const work = {
       " ": () => source.play(!source.playing),
       ArrowLeft: () => this.to(source.now - step), ArrowRight: () => this.to(source.now + step),
       ArrowDown: () => this.to(source.now - step), ArrowUp: () => this.to(source.now + step),
       PageDown: () => this.event(-1), PageUp: () => this.event(1), p: () => this.event(-1), n: () => this.event(1),
       Home: () => this.to(source.begin), End: () => this.to(source.end), Escape: () => source.toEnd(),
-    }[event.key];
-    if (!work || (event.target === document.body && !ANYWHERE.includes(event.key))) return;
+    }[key];
+    if (!work || (event.target === document.body && !ANYWHERE.includes(key))) return;
     event.preventDefault();
     work();
   }
