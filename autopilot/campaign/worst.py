@@ -37,17 +37,17 @@ def fly_logged(task: Task, known: RunResult, folder: Path, stop: Callable[[], bo
     path = log_file(folder, task.run)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".part.mcap")
-    kinds = (".mcap", ".tlog")
-    for kind in kinds:
-        unfinished.with_suffix(kind).unlink(missing_ok=True)
+    files = {unfinished.with_suffix(kind): path.with_suffix(kind) for kind in (".mcap", ".tlog")}
+    for part in files:
+        part.unlink(missing_ok=True)
     again = fly(replace(task), stop, log=unfinished)
     if again is None:
-        for kind in kinds:
-            unfinished.with_suffix(kind).unlink(missing_ok=True)
+        for part in files:
+            part.unlink(missing_ok=True)
         return ""
-    for kind in kinds:
-        if unfinished.with_suffix(kind).exists():
-            unfinished.with_suffix(kind).replace(path.with_suffix(kind))
+    for part, whole in files.items():
+        if part.exists():
+            part.replace(whole)
     if msgspec.structs.replace(again, cpu_s=known.cpu_s) != known:
         return f"run {task.run} flew otherwise than in the campaign: not the same machine or libraries?"
     return ""

@@ -9,11 +9,17 @@ CLOSE = 0.6
 """Likeness (difflib) from which a name is taken for a slip of the pen."""
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """``did you mean NAME? ``, "" if nothing is like it; capitals do not count."""
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The one of ``names`` that was probably meant, "" if nothing is like it; capitals do not count."""
     known = {each.lower(): each for each in names}
     near = difflib.get_close_matches(name.lower(), known, 1, CLOSE)
-    return f"did you mean {known[near[0]]}? " if near else ""
+    return known[near[0]] if near else ""
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """``did you mean NAME? ``, "" if nothing is like it."""
+    meant = nearest(name, names)
+    return f"did you mean {meant}? " if meant else ""
 
 
 def choice(name: str, names: Sequence[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from autopilot.core.names import choice, did_you_mean
+from autopilot.core.names import choice, nearest
 
 _STEP = re.compile(r"\.(?P<key>[^.\[\]]+)|\[(?P<index>\d+|\.\.\.)\]")
 _PLACE = r"(?: - at `(?P<place>\$[^`]*)`)?"
@@ -64,11 +64,10 @@ def mistakes(tables: dict[str, Any], kind: type) -> tuple[list[str], Any]:
             break
         removed.add((table, key))
         if unknown:
-            here = [
-                field.encode_name for each in _types_at(inspect.type_info(kind), left, table) for field in _fields(each)
-            ]
-            meant = next((name for name in here if did_you_mean(key, here) == f"did you mean {name}? "), key)
-            if meant != key and (table, meant) not in removed:
+            types = _types_at(inspect.type_info(kind), left, table)
+            names = [field.encode_name for each in types for field in _fields(each)]
+            meant = nearest(key, names)
+            if meant and (table, meant) not in removed:
                 _at(left, table).setdefault(meant, value)
     return found, None
 

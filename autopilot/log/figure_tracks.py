@@ -191,12 +191,12 @@ PANELS: dict[str, tuple[Panel, ...]] = {
 
 def overlaid(name: str, scenes: Sequence[FigureScene]) -> Figure | None:
     """A curve per flight, None where none has data."""
-    return _panels(name, scenes, _draw_each)
+    return _panels(name, scenes, _draw_each, "time since arming [s]")
 
 
 def banded(name: str, scenes: Sequence[FigureScene]) -> Figure | None:
     """Median and band of SPREAD over the flights, None where none has data."""
-    return _panels(name, scenes, _draw_band)
+    return _panels(name, scenes, _draw_band, "time since arming, legs of median length [s]")
 
 
 def _draw_each(ax: Axes, _panel: Panel, scenes: Sequence[FigureScene], curves: Sequence[FloatArray]) -> None:
@@ -228,6 +228,7 @@ def _panels(
     name: str,
     scenes: Sequence[FigureScene],
     draw: Callable[[Axes, Panel, Sequence[FigureScene], Sequence[FloatArray]], None],
+    time_label: str,
 ) -> Figure | None:
     panels = PANELS[name]
     curves = [[panel.values(scene) for scene in scenes] for panel in panels]
@@ -244,5 +245,5 @@ def _panels(
     if "depth" in axes[0].get_ylabel():
         axes[0].yaxis.set_inverted(True)
     legend_above(axes[0])
-    axes[-1].set_xlabel(f"time since arming{', legs of median length' if draw is _draw_band else ''} [s]")
+    axes[-1].set_xlabel(time_label)
     return figure

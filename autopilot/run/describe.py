@@ -90,13 +90,14 @@ def tour_of(steps: Sequence[Step], params: Mapping[str, float]) -> Tour:
     if not jumps:
         return Tour(waypoints=waypoints)
     jump = jumps[0]
-    repeated = jump.count is not None and len(jumps) == 1 and all(step.seq < jump.seq for step in places)
+    repeated = len(jumps) == 1 and all(step.seq < jump.seq for step in places)
+    laps = jump.count + 1 if repeated and jump.count is not None else None
     before = sum(step.seq < jump.target_seq for step in places)
-    if repeated and jump.count is not None and before == 0:
-        return Tour(waypoints=waypoints, laps=jump.count + 1)
-    if repeated and jump.count is not None and before == 1 and waypoints[-1].pos_ned_m == waypoints[0].pos_ned_m:
+    if laps is not None and before == 0:
+        return Tour(waypoints=waypoints, laps=laps)
+    if laps is not None and before == 1 and waypoints[-1].pos_ned_m == waypoints[0].pos_ned_m:
         # A-B-A with a jump back to B: the last place closes the lap at the first one.
-        return Tour(waypoints=waypoints[:-1], laps=jump.count + 1, closed=True)
+        return Tour(waypoints=waypoints[:-1], laps=laps, closed=True)
     endless = [step.seq for step in jumps if step.count is None]
     numbers = {step.seq: number for number, step in enumerate(places) if step.seq < min(endless, default=len(steps))}
     order = (numbers.get(step.seq) for step in flown_order(steps, MOST_STEPS))
