@@ -218,6 +218,7 @@ def test_zoom_by_mouse_wheel_fingers_and_keys_in_a_browser(flight: Run) -> None:
     middle = f"[{box}.x + {box}.width / 2, {box}.y + {box}.height / 2]"
     handles = "[...document.querySelectorAll('#handles button')]"
     apart = f"Math.abs(parseFloat({handles}[0].style.left) - parseFloat({handles}[1].style.left))"
+    drawn = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0, true))))"
     pixels = "document.getElementById('plan').toDataURL().length + ':' + document.getElementById('clock').textContent"
     with browser.page(browser.found()) as tab:
         tab.size(1440, 900)
@@ -236,6 +237,7 @@ def test_zoom_by_mouse_wheel_fingers_and_keys_in_a_browser(flight: Run) -> None:
         tab.size(390, 844, phone=True)
         x, y = tab.ask(middle)
         tab.wait(f"{box}.width < 390 && parseFloat({handles}[0].style.left) < 390")
+        tab.wait(drawn)
         before = tab.ask(apart)
         tab.call("Input.synthesizePinchGesture", x=x, y=y, scaleFactor=2.0)
         tab.wait(f"{apart} > 1.5 * {before}")
