@@ -1,13 +1,17 @@
 """Effectiveness of thrusters from the motion: identification on model data, no false alarms, what is left to do."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from control_loop import rk4
+from hypothesis import given
+from hypothesis import strategies as st
 
 from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.filtered_motion import Waves
 from autopilot.control.thrust.thruster_health import ThrusterHealth, configured_effectiveness, hover_problem, usable
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
@@ -188,3 +192,28 @@ def test_what_is_left_of_the_vehicle() -> None:
     # Without the lateral one it is the other way round, and with neither nothing is left.
     assert hover_problem(ControlAllocator(MODEL), full * [1, 1, 1, 0], flow, math.pi) == ""
     assert "0.25 m/s" in hover_problem(ControlAllocator(MODEL), full * [0, 1, 1, 0], flow)
+
+
+def _waves_m_s2(current_m_s: Callable[[float], float], course_rad: float) -> float:
+    """Of a current (m/s at a time [s]) along this course, after 40 s."""
+    waves, towards = Waves(), np.array([math.cos(course_rad), math.sin(course_rad), 0.0])
+    for update in range(400):
+        waves.update(0.1, current_m_s(0.1 * update) * towards)
+    return waves.rms_m_s2
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.02, 0.3), st.floats(2.0, 6.0), st.floats(-0.4, 0.4))
+def test_water_that_goes_to_and_fro_is_measured(
+    course_rad: float, speed_m_s: float, period_s: float, mean_m_s: float
+) -> None:
+    """By the stronger of both axes, whatever the mean."""
+    omega = 2.0 * math.pi / period_s
+    measured = _waves_m_s2(lambda t_s: mean_m_s + speed_m_s * math.sin(omega * t_s), course_rad)
+    along = max(abs(math.cos(course_rad)), abs(math.sin(course_rad)))
+    assert 0.65 < measured / (along * speed_m_s * omega / math.sqrt(2.0)) < 1.15
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-0.4, 0.4), st.floats(0.0, 20.0))
+def test_water_that_starts_to_flow_is_no_wave(course_rad: float, speed_m_s: float, ramp_s: float) -> None:
+    ramp = _waves_m_s2(lambda t_s: speed_m_s * min(1.0, max(0.0, t_s - 5.0) / max(ramp_s, 0.1)), course_rad)
+    assert ramp < 1e-6

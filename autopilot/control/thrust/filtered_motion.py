@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.thrust.thrust_tuning import WAVES
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import Model4
@@ -43,6 +44,32 @@ class FilteredMotion:
     """(2, 3) roll and pitch: their acceleration [rad/s^2], the sine of the angle and its rate [rad/s]."""
     swing: FloatArray
     """(4,) change of the velocity by roll and pitch, absent in the 4-DoF model."""
+    waves_m_s2: float
+    """Horizontal acceleration of the water to and fro, root mean square."""
+
+
+class Waves:
+    """Acceleration of the water to and fro, from the estimated current.
+
+    Of an axis that of the weaker direction counts: what starts to flow, or a jet that is entered, is no wave.
+    """
+
+    def __init__(self) -> None:
+        self._mean_m_s: FloatArray | None = None
+        self._over_s = 0.0
+        self._squares = np.zeros((2, 2))
+        """Mean squares ahead and back [m^2/s^4], axes north and east."""
+        self.rms_m_s2 = 0.0
+
+    def update(self, dt_s: float, current_ned_m_s: FloatArray) -> None:
+        now_m_s = current_ned_m_s[:2]
+        behind_m_s = now_m_s - (now_m_s if self._mean_m_s is None else self._mean_m_s)
+        accel_m_s2 = behind_m_s / WAVES.rate_s
+        self._mean_m_s = now_m_s - math.exp(-dt_s / WAVES.rate_s) * behind_m_s
+        squares = 2.0 * np.square(np.maximum([accel_m_s2, -accel_m_s2], 0.0))
+        self._over_s = min(self._over_s + dt_s, WAVES.mean_s)
+        self._squares += dt_s / self._over_s * (squares - self._squares)
+        self.rms_m_s2 = math.sqrt(self._squares.min(axis=0).max())
 
 
 class MotionFilter:
@@ -62,6 +89,7 @@ class MotionFilter:
         self.forget()
         self._current = (0.0, 0.0)
         self._known = False
+        self._waves = Waves()
 
     def forget(self) -> None:
         """Reset the filters of the motion; the current is kept."""
@@ -91,6 +119,7 @@ class MotionFilter:
         self._moving_s += dt_s
         if self._since_s < self._interval_s - 1e-9 or self._moving_s < 4.0 * self._filter_s:
             return None
+        self._waves.update(self._since_s, nav.current_ned_m_s)
         return self._motion_of(terms)
 
     def _follow_current(self, nav: NavState, dt_s: float) -> None:
@@ -157,6 +186,7 @@ class MotionFilter:
             moved_ned_m_s=np.array(self._moved),
             tilt=np.array([[rate[24], *past[23:25]], [rate[26], *past[25:27]]]),
             swing=np.array([q * w, p * w, math.hypot(p * v, q * u), 0.0]),
+            waves_m_s2=self._waves.rms_m_s2,
         )
         self._since_s, self._moved = 0.0, (0.0, 0.0)
         return motion

@@ -52,6 +52,19 @@ ATTITUDE_STABILISATION = AttitudeStabilisationTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class WavesTuning:
+    """Constants of :class:`autopilot.control.thrust.filtered_motion.Waves`."""
+
+    rate_s: float = 0.3
+    """Time constant of the rate of the current."""
+    mean_s: float = 30.0
+    """Of its mean square: several waves."""
+
+
+WAVES = WavesTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class LossBankTuning:
     """Constants of :mod:`autopilot.control.thrust.loss_bank`."""
 
