@@ -197,7 +197,7 @@ def test_a_goal_without_a_region_is_something_to_mend() -> None:
     for _ in range(2 * REGIONS.answer_steps):
         regions.follow(B, math.pi, np.zeros(3), -0.01, lambda: limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_notices() if severity <= Severity.INFO]
-    assert told == ["Item 0: beyond the clearance limit, move it"]
+    assert told == ["Item 0: no margin left to the clearance limit, move it"]
     regions.follow(replace(A, seq=1), 0.0, np.zeros(3), 0.3225, limits, Q, R)
     assert regions.take_notices() == [], "the next goal is not to be moved for it"
 
