@@ -70,12 +70,12 @@ class RunWatch:
             )
 
     def _check_fence(self, t_us: int, *, arming: bool) -> None:
-        """Report obstacles of the scenario that the fence does not contain: with every plan, and at arming at the
-        latest."""
+        """Report obstacles of the scenario that the fence does not contain: with every fence, and at arming at the
+        latest. Clients send the mission before its fence."""
         plans = self._session.parts.plans
         if plans.revision == self._looked_at:
             return
-        if arming or any(plans.items(kind) for kind in (PlanKind.MISSION, PlanKind.FENCE)):
+        if arming or plans.items(PlanKind.FENCE):
             self._looked_at = plans.revision
             for text in unknown_obstacles(self._session.scenario, self._session.parts.commander.fence):
                 self._lines.line(t_us, f"! {text}")

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plan_text import PILLARS, WORKSPACE, pillar, waypoint
-from system_harness import ROOT
+from system_harness import ROOT, OpenSession
 
 from autopilot.core.geometry import Circle, Fence, Polygon
+from autopilot.core.messages import Outputs
+from autopilot.core.plan import PlanKind
+from autopilot.mission.paper import paper_plan
 from autopilot.run.children import autopilot_command
 from autopilot.run.console import Console
-from autopilot.run.sitl_console import unknown_obstacles
+from autopilot.run.sitl_console import RunWatch, unknown_obstacles
 from autopilot.sitl.scenario import load_scenario
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -64,6 +67,26 @@ def test_a_mission_that_is_not_complete_in_time_is_a_failure(tmp_path: Path, pla
     assert done.stdout == ""
     assert done.stderr.startswith("error: the run ended before its mission was complete; ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_mission_that_comes_before_its_fence_is_not_told_of_obstacles(session: OpenSession) -> None:
+    """Ground stations send the mission first."""
+    plan, shown, ticks = paper_plan(1), list[str](), 0
+
+    def look(outputs: Outputs) -> None:
+        nonlocal ticks
+        ticks += 1
+        if ticks == 50:
+            assert run.parts.plans.replace(PlanKind.MISSION, plan.mission) is None
+        if ticks == 100:
+            assert run.parts.plans.replace(PlanKind.FENCE, plan.fence) is None
+        watch.step(outputs)
+
+    run = session("paper-tank", sensors="pose", duration=2.0, on_tick=look)
+    watch = RunWatch(run, shown.append)
+    run.run()
+    assert ticks > 150
+    assert not [line for line in shown if "not in the fence" in line], shown
 
 
 def test_contacts_are_shown_counted_and_in_the_exit_code(tmp_path: Path, plan: str) -> None:
