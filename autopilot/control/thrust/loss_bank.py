@@ -22,7 +22,7 @@ with different starts; every other second the least likely one is restarted.
 
 Waves push to and fro and the controller pushes back: thrust goes with the disturbance, cycle after cycle in the same
 way, and a weak thruster explains a part of it. That evidence grows slowly; in waves every update loses some
-(``Beliefs.waves_cost``): a thruster that is lost outgrows it late, in high waves never.
+(``Beliefs.waves_cost``), and a thruster that is lost outgrows it.
 """
 
 import math
@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.control.thrust.filtered_motion import FilteredMotion, ToAndFro
+from autopilot.control.thrust.filtered_motion import FilteredMotion
 from autopilot.control.thrust.thrust_tuning import LOSS_BANK
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
@@ -142,11 +142,8 @@ class Beliefs:
     waves_m_s2: float = 0.08
     """Root mean square acceleration of the water to and fro up to which evidence counts in full: a tank's jet that is
     crossed makes 0.05, a wave of 0.05 m and 3 s 0.11."""
-    unexplained_m_s2: float = 0.065
-    """The same of the planar acceleration that drag and thrust do not explain: of waves of 0.2 m, whose current is not
-    followed any more, 0.16; half a thruster in a tank's jet, until it is found, 0.06."""
     waves_cost: float = 0.1
-    """Evidence that an update loses for each time that value above it [nats]."""
+    """Evidence that an update loses for each ``waves_m_s2`` above it [nats]."""
 
 
 class Memory(NamedTuple):
@@ -168,7 +165,6 @@ class LossBank:
         self._sway = np.array(model.allocation)[1]
         self._n, self._at = model.thrusters, StateLayout(model.thrusters)
         self._still = self._stationary()
-        self._unexplained = ToAndFro()
         self._work = np.empty((self._at.filters, self._at.size, self._at.size))
         """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
         self._evidence: FloatArray = np.zeros(len(self._at.hypotheses))
@@ -305,8 +301,6 @@ class LossBank:
         if not heave:
             noise[2] = LOSS_BANK.unseen
         innovation = motion.residual - self._expected(motion, h, pull)
-        by_thrust = self._effect[:2] @ (motion.thrust_n * self._x[0, at.e])
-        self._unexplained.update(motion.dt_s, motion.residual[:2] - by_thrust)
         cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
@@ -334,8 +328,7 @@ class LossBank:
         """Add the log-likelihoods (n,) of an update to the evidence; restart hypotheses on schedule."""
         b, at = self._beliefs, self._at
         gained = np.clip(log_likelihood[at.hypotheses] - log_likelihood[0], -b.most[0], b.most[1])
-        waves = max(motion.waves_m_s2 / b.waves_m_s2, self._unexplained.rms_m_s2 / b.unexplained_m_s2)
-        gained -= b.waves_cost * max(0.0, waves - 1.0)
+        gained -= b.waves_cost * max(0.0, motion.waves_m_s2 / b.waves_m_s2 - 1.0)
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
         self._age_s = self._age_s + motion.dt_s
         self._since_s += motion.dt_s
