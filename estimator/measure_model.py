@@ -23,6 +23,7 @@ import numpy as np
 from autopilot.core.compiled import Mirror, library
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
+from autopilot.core.to_and_fro import ToAndFro
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.estimator_tuning import SWELL
@@ -255,8 +256,7 @@ class Swell:
         self._t_us: int | None = None
         self._mean: FloatArray = np.zeros(NX)
         """(21,) states as they are in the mean: waves are not to explain themselves."""
-        self._ahead, self._back = np.zeros(2), np.zeros(2)
-        """Mean squares of what is positive and of what is negative, forward and right [m^2/s^4]."""
+        self._accel = ToAndFro()
         self.variance = 0.0
         """By which the model's acceleration is less certain, as of one of 50 independent looks a second [m^2/s^4]."""
 
@@ -271,11 +271,8 @@ class Swell:
         x[BIAS_AHEAD:] = self._mean[BIAS_AHEAD:]
         x[DRAG_EXCESS] = x[THRUST_EXCESS] = 0.0
         residual = np.array(accel_level_m_s2[:2]) - self._vehicle.at(x, node.moment)[:2] - x[ACCEL_BIAS][:2]
-        gain = dt_s / SWELL.follow_s
-        self._ahead += gain * (np.square(np.maximum(residual, 0.0)) - self._ahead)
-        self._back += gain * (np.square(np.minimum(residual, 0.0)) - self._back)
-        both = 2.0 * float(np.minimum(self._ahead, self._back).max())
-        self.variance = SWELL.shared_looks * max(0.0, both - SWELL.usual_m_s2**2)
+        square = self._accel.update(dt_s / SWELL.follow_s, residual)
+        self.variance = SWELL.shared_looks * max(0.0, square - SWELL.usual_m_s2**2)
 
 
 class ModelAid(ScalarAid[Inertial]):

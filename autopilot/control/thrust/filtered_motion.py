@@ -16,6 +16,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import Model4
 from autopilot.core.response import Response
+from autopilot.core.to_and_fro import ToAndFro
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -49,27 +50,20 @@ class FilteredMotion:
 
 
 class Waves:
-    """Acceleration of the water to and fro, from the estimated current.
-
-    Of an axis that of the weaker direction counts: what starts to flow, or a jet that is entered, is no wave.
-    """
+    """Acceleration of the water to and fro, from the estimated current."""
 
     def __init__(self) -> None:
         self._mean_m_s: FloatArray | None = None
         self._over_s = 0.0
-        self._squares = np.zeros((2, 2))
-        """Mean squares ahead and back [m^2/s^4], axes north and east."""
+        self._accel = ToAndFro()
         self.rms_m_s2 = 0.0
 
     def update(self, dt_s: float, current_ned_m_s: FloatArray) -> None:
         now_m_s = current_ned_m_s[:2]
         behind_m_s = now_m_s - (now_m_s if self._mean_m_s is None else self._mean_m_s)
-        accel_m_s2 = behind_m_s / WAVES.rate_s
         self._mean_m_s = now_m_s - math.exp(-dt_s / WAVES.rate_s) * behind_m_s
-        squares = 2.0 * np.square(np.maximum([accel_m_s2, -accel_m_s2], 0.0))
         self._over_s = min(self._over_s + dt_s, WAVES.mean_s)
-        self._squares += dt_s / self._over_s * (squares - self._squares)
-        self.rms_m_s2 = math.sqrt(self._squares.min(axis=0).max())
+        self.rms_m_s2 = math.sqrt(self._accel.update(dt_s / self._over_s, behind_m_s / WAVES.rate_s))
 
 
 class MotionFilter:
