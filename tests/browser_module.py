@@ -23,3 +23,16 @@ needs_browser = pytest.mark.skipif(
     browser.found() is None and not os.environ.get("CI"), reason="no Chromium here; CHROMIUM names one"
 )
 """Skipped without one, but not where the environment variable CI is set: there these tests fail."""
+
+
+def pixels_of(canvas: str) -> str:
+    """JavaScript for the red, green, blue, alpha of each pixel of the canvas with this id.
+
+    A copy is read: Chromium warns on the console of a canvas that is read again and again.
+    """
+    return f"""((canvas) => {{
+        const {{ width, height }} = canvas;
+        const copy = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});
+        copy.drawImage(canvas, 0, 0);
+        return copy.getImageData(0, 0, width, height).data;
+    }})(document.getElementById("{canvas}"))"""

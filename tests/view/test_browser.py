@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser_module import browser, needs_browser
+from browser_module import browser, needs_browser, pixels_of
 from viewers import Run, run
 
 pytestmark = needs_browser
@@ -20,12 +20,11 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 
 SCREENS = {"desk": (1200, 800, False, False), "phone": (390, 844, True, True)}
-PAINTED = """(() => {
-    const canvas = document.getElementById("%s"), size = [canvas.width, canvas.height];
-    const data = canvas.getContext("2d").getImageData(0, 0, ...size).data, colors = new Set();
+PAINTED = f"""(() => {{
+    const data = {pixels_of("%s")}, colors = new Set();
     for (let i = 0; i < data.length; i += 4) colors.add(data[i] << 16 | data[i + 1] << 8 | data[i + 2]);
     return colors.size;
-})()"""
+}})()"""
 
 
 @pytest.mark.parametrize("screen", SCREENS)

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from browser_module import browser, needs_browser
+from browser_module import browser, needs_browser, pixels_of
 from click.testing import CliRunner
 from scripted_page import module
 from viewers import PATIENCE_S, Stream, get, post, run
@@ -182,16 +182,12 @@ def test_a_log_has_what_was_dragged_and_the_field_of_the_current(dragged: Path, 
 CLOCK = "parseFloat(document.getElementById('clock')?.textContent)"
 
 
-FLOWING = """(() => {
-    const plan = document.getElementById("plan"), [width, height] = [plan.width, plan.height];
-    const copy = Object.assign(document.createElement("canvas"), { width, height });
-    const ctx = copy.getContext("2d", { willReadFrequently: true });
-    ctx.drawImage(plan, 0, 0);
-    const data = ctx.getImageData(0, 0, width, height).data;
+FLOWING = f"""(() => {{
+    const data = {pixels_of("plan")};
     let count = 0;
     for (let i = 0; i < data.length; i += 4) count += data[i] === 86 && data[i + 1] === 137 && data[i + 2] === 171;
     return count;
-})()"""
+}})()"""
 """Pixels of the plan in the colour of the current."""
 
 
