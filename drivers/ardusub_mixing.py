@@ -19,7 +19,7 @@ import numpy as np
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.thrust_law import ThrustLaw, law_of
+from autopilot.core.thrust_law import ThrustLaw, laws_of
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
@@ -92,7 +92,8 @@ WRENCH_ROWS = {
 PULLS = 1e-4
 """How much a newton that is missing counts against a microsecond off: (N/us)^2. A thruster gives about 0.1 N/us."""
 TURNS = 8
-"""Steps of the search; it ends with the first that changes nothing."""
+"""Steps of the search; it ends with the first that changes nothing: channels are whole microseconds."""
+NEAR_US = 0.5
 SLOPE_US = 10
 """A curve's slope is taken over so many microseconds to either side, or it would be 0 in the whole dead band."""
 
@@ -108,38 +109,53 @@ class Group:
         self.factors = factors
         self.place = place
         self._laws = tuple(laws)
+        self._curves: tuple[float | None, list[list[float]]] | None = None
+        """Supply voltage of the last question; each motor's thrust there, from SLOPE_US below the span to above it."""
         size = np.abs(wrench).sum(axis=1) / 2.0
         if not (size > 0.0).all():
             missing = self.axes[int(np.argmin(size))].name.lower()
             raise ConfigError(f"the vehicle file's thrusters make nothing of the axis {missing}; correct their places")
         self._wrench = wrench / size[:, None]
         self._start = np.linalg.pinv(factors)
+        self._pull = PULLS * factors.T
+        self._pulls = self._pull @ factors
 
     def channels_us(self, wanted_us: FloatArray, supply_v: float | None) -> FloatArray:
         """(axes,) offsets from neutral for offsets (m,) of the pulses, both ahead positive."""
-        aim = self._wrench @ self._thrust_n(wanted_us, supply_v)
         offset_us: FloatArray = self._start @ wanted_us
+        reached_us = self.factors @ offset_us
+        missing_us = wanted_us - reached_us
+        if float(np.abs(missing_us).max()) < NEAR_US:
+            return offset_us
+        curves = self._curves_at(supply_v)
+        aim = self._wrench @ _thrust_and_slope(curves, wanted_us)[0]
         for _ in range(TURNS):
-            reached_us = self.factors @ offset_us
-            slope = self._slope(reached_us, supply_v)
-            lever = self._wrench @ (slope[:, None] * self.factors)
-            missing = aim - self._wrench @ self._thrust_n(reached_us, supply_v)
-            hessian = lever.T @ lever + PULLS * self.factors.T @ self.factors
-            step = np.linalg.solve(hessian, lever.T @ missing + PULLS * self.factors.T @ (wanted_us - reached_us))
+            thrust, slope = _thrust_and_slope(curves, reached_us)
+            lever = (self._wrench * slope) @ self.factors
+            step = np.linalg.solve(
+                lever.T @ lever + self._pulls, lever.T @ (aim - self._wrench @ thrust) + self._pull @ missing_us
+            )
             offset_us = offset_us + step
-            if float(np.abs(step).max()) < 0.5:
+            if float(np.abs(step).max()) < NEAR_US:
                 break
+            reached_us = self.factors @ offset_us
+            missing_us = wanted_us - reached_us
         return offset_us
 
-    def _thrust_n(self, offsets_us: FloatArray, supply_v: float | None) -> FloatArray:
-        return np.array(
-            [law.thrust_n(round(us), supply_v) for law, us in zip(self._laws, offsets_us.tolist(), strict=True)]
-        )
+    def _curves_at(self, supply_v: float | None) -> list[list[float]]:
+        if self._curves is None or self._curves[0] != supply_v:
+            reach = range(-SPAN_US - SLOPE_US, SPAN_US + SLOPE_US + 1)
+            tables = {law: [law.thrust_n(us, supply_v) for us in reach] for law in self._laws}
+            self._curves = supply_v, [tables[law] for law in self._laws]
+        return self._curves[1]
 
-    def _slope(self, offsets_us: FloatArray, supply_v: float | None) -> FloatArray:
-        return (self._thrust_n(offsets_us + SLOPE_US, supply_v) - self._thrust_n(offsets_us - SLOPE_US, supply_v)) / (
-            2.0 * SLOPE_US
-        )
+
+def _thrust_and_slope(curves: Sequence[Sequence[float]], offsets_us: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(m,) thrust [N] and its slope [N/us] of each motor at its offset (m,)."""
+    places = [min(max(round(us), -SPAN_US), SPAN_US) + SPAN_US + SLOPE_US for us in offsets_us.tolist()]
+    thrust = [curve[place] for curve, place in zip(curves, places, strict=True)]
+    rise = [curve[place + SLOPE_US] - curve[place - SLOPE_US] for curve, place in zip(curves, places, strict=True)]
+    return np.array(thrust), np.array(rise) / (2.0 * SLOPE_US)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +188,7 @@ class Mixer:
                     f" `span_us` of {thruster.name!r} so"
                 )
         wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
-        laws = [law_of(thruster.drive) for thruster in thrusters]
+        laws = laws_of(thrusters)
         factors = np.zeros((frame.motors, CHANNELS))
         flat = len(_FLAT_FACTORS)
         factors[:flat, FLAT] = _FLAT_FACTORS

@@ -125,6 +125,8 @@ class ArduSubSettings:
         rules = (rule.name for rule in self._rules)
         self._requests = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions, *more), 0)
         """Name -> how often it was asked for in vain."""
+        self._problems: tuple[str, ...] | None = None
+        """None: something has changed since they were last looked for."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -144,6 +146,7 @@ class ArduSubSettings:
 
     def note_request(self, name: str) -> None:
         self._requests[name] += 1
+        self._problems = None
 
     def advice(self) -> tuple[tuple[str, str], ...]:
         """Recommended changes and how to make them."""
@@ -156,6 +159,7 @@ class ArduSubSettings:
         """Everything is to be read anew, and nothing holds until then."""
         self.values.clear()
         self._requests = dict.fromkeys(self._requests, 0)
+        self._problems = None
 
     def take(self, name: str, value: float) -> bool:
         """Note a value; whether it is news."""
@@ -163,6 +167,7 @@ class ArduSubSettings:
             return False
         news = self.values.get(name) != value
         self.values[name] = value
+        self._problems = None
         return news
 
     @property
@@ -172,6 +177,11 @@ class ArduSubSettings:
 
     def problems(self) -> tuple[str, ...]:
         """Settings that prevent the use of our thrust."""
+        if self._problems is None:
+            self._problems = self._found_problems()
+        return self._problems
+
+    def _found_problems(self) -> tuple[str, ...]:
         if not self.complete:
             return (f"flight controller: {len(self.missing())} parameters not read yet, wait",)
         values = self.values

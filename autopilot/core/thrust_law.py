@@ -8,10 +8,11 @@ band: a request of at least half the smallest thrust gets the smallest thrust, a
 import bisect
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 
-from autopilot.core.thrusters import ThrusterDrive
+from autopilot.core.thrusters import Thruster, ThrusterDrive
 
 ROUNDING = 1e-9
 """Keeps a duty that is a whole pulse in exact arithmetic on that pulse."""
@@ -101,7 +102,7 @@ class CurveLaw(ThrustLaw):
         )
         """(voltages, 2 span + 1) per whole pulse."""
         self._table_v = math.nan
-        self._table: list[float] = []
+        self._table = self._ahead = self._astern = [0.0]
 
     def _at(self, supply_v: float | None) -> list[float]:
         """Thrust over offset (2 span + 1) at a voltage; kept for the next question, which comes with the same one."""
@@ -115,17 +116,16 @@ class CurveLaw(ThrustLaw):
                 index = bisect.bisect_right(self._supplies, supply)
                 fraction = (supply - self._supplies[index - 1]) / (self._supplies[index] - self._supplies[index - 1])
                 table = (1.0 - fraction) * self._thrusts[index - 1] + fraction * self._thrusts[index]
+            span = self.drive.span_us
             self._table_v, self._table = supply, table.tolist()
+            self._ahead, self._astern = self._table[span:], (-table[span::-1]).tolist()
         return self._table
 
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
         """The whole pulse whose thrust is nearest."""
-        table, span = self._at(supply_v), self.drive.span_us
+        self._at(supply_v)
+        side, span = self._ahead if thrust_n > 0.0 else self._astern, self.drive.span_us
         wanted = min(abs(thrust_n), limit_n)
-        if thrust_n > 0.0:
-            side = table[span:]
-        else:
-            side = [-value for value in reversed(table[: span + 1])]
         edge = bisect.bisect_right(side, 0.0)
         if edge > span or wanted < 0.5 * side[edge]:
             return 0
@@ -142,3 +142,9 @@ class CurveLaw(ThrustLaw):
 def law_of(drive: ThrusterDrive) -> ThrustLaw:
     """The law of a drive, by its kind."""
     return CurveLaw(drive) if drive.curve else BrushedLaw(drive)
+
+
+def laws_of(thrusters: Sequence[Thruster]) -> list[ThrustLaw]:
+    """The law of each thruster; those with the same drive share one."""
+    laws = {id(drive): law_of(drive) for drive in {id(t.drive): t.drive for t in thrusters}.values()}
+    return [laws[id(thruster.drive)] for thruster in thrusters]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.thrust_law import law_of
+from autopilot.core.thrust_law import laws_of
 from autopilot.core.thrusters import Thruster
 
 
@@ -15,8 +15,7 @@ class Allocation:
 
     def __init__(self, thrusters: Sequence[Thruster]) -> None:
         self._thrusters = tuple(thrusters)
-        laws = {id(drive): law_of(drive) for drive in {id(t.drive): t.drive for t in self._thrusters}.values()}
-        self._laws = [laws[id(thruster.drive)] for thruster in self._thrusters]
+        self._laws = laws_of(self._thrusters)
         self._sides = [-1 if thruster.reversed else 1 for thruster in self._thrusters]
         self.neutral_us = tuple(thruster.drive.neutral_us for thruster in self._thrusters)
         """The pulses that stop them."""

@@ -168,10 +168,13 @@ class AttitudeStabilizer:
 
 def _fraction(more_n: FloatArray, room_n: FloatArray) -> float:
     """Share of ``more_n`` (n,) for which there is room (n,)."""
-    used = np.abs(more_n) > ATTITUDE_STABILISATION.small
-    if not used.any() or not np.isfinite(more_n).all():
-        return 0.0
-    return min(1.0, max(0.0, float((room_n[used] / np.abs(more_n)[used]).min())))
+    share, used = 1.0, False
+    for more, room in zip(np.abs(more_n).tolist(), room_n.tolist(), strict=True):
+        if more > ATTITUDE_STABILISATION.small:
+            share, used = min(share, room / more) if room > 0.0 else 0.0, True
+        if not math.isfinite(more):
+            return 0.0
+    return share if used else 0.0
 
 
 class _Patterns(NamedTuple):
