@@ -50,13 +50,15 @@ class EnergyField:
         """(n, 2)"""
         self.cell_m = space.base_cell_m
         pairs = np.concatenate([space.links, space.moves(OFFSETS)])
-        a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+        a, b = pairs.T
         step = self.places_ned_m[b] - self.places_ned_m[a]
         length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         current = flow.current(0.5 * (self.places_ned_m[a] + self.places_ned_m[b]))[:, :2]
         along = (current * step).sum(axis=1) / length
         across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / length
-        cost = length * energy_per_metre(table, along, across)
+        there, back = energy_per_metre(table, along, across), energy_per_metre(table, -along, -across)
+        cost = np.concatenate([length * there, length * back])
+        a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
         passable = np.isfinite(cost)
         self._edges = a[passable], b[passable], cost[passable]
 
