@@ -12,6 +12,7 @@ import numpy as np
 from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.ardusub_emulator import ArduSubEmulator
+from autopilot.sitl.payload_devices import SimPayload
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.scenario_tables import Scenario
@@ -31,6 +32,8 @@ class ArduSubVehicle:
         self.controller = ArduSubEmulator(vehicle, frame, seed=seed, floor_depth_m=depth_m, origin=origin, **more)
         """The flight controller."""
         self._mav: Any = self.controller.codec(ARDUSUB_VEHICLE.tracker_system, ARDUSUB_VEHICLE.tracker_component)
+        tilts = vehicle.tilt is not None and vehicle.tilt.camera_deg is not None
+        self._payload = SimPayload(vehicle) if tilts else None
         self._rng = np.random.default_rng((seed, 71))
         self._pose_us = 0
 
@@ -38,16 +41,32 @@ class ArduSubVehicle:
     def truth(self) -> Truth:
         return self._plant.truth
 
+    @property
+    def camera_off_rad(self) -> float:
+        """See :attr:`SimPayload.camera_off_rad`."""
+        return 0.0 if self._payload is None else self._payload.camera_off_rad
+
     def advance(self, t_us: int) -> list[bytes]:
         """Advance to ``t_us`` with the previous pulses; returns the flight controller's messages."""
         self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
+        if self._payload is not None:
+            self._carry(t_us, self._payload, self.controller.extras.rail(self.controller.servos_us))
         return self.controller.step(t_us, self._plant.truth)
 
     def driven(self, t_us: int, servos_us: Sequence[int]) -> Truth:
         """Go on to ``t_us`` with the servo rail of another flight controller, motor by motor; the truth then."""
         self.controller.servos_us = tuple(servos_us[: self.motors])
         self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
+        if self._payload is not None:
+            self._carry(t_us, self._payload, servos_us)
         return self._plant.truth
+
+    def _carry(self, t_us: int, payload: SimPayload, rail_us: Sequence[int]) -> None:
+        """Move the camera as the servo rail says."""
+        tilt = self._vehicle.tilt
+        pulses_us = dict(enumerate(rail_us, 1))
+        payload.set([pulses_us.get(one.channel or 0, 0) if one is tilt else 0 for one in self._vehicle.payload])
+        payload.advance(t_us)
 
     @property
     def motors(self) -> int:

@@ -194,10 +194,10 @@ class SimulatedVehicle(Closing):
             self._observers.append(pictures)
             self.markers = build_markers(scenario)
         self._tilt_reports = TiltReports(vehicle)
-        self._tilted: CameraFeed | SimPoseSensor | None = None
-        """The camera that tilts with the payload; one in a process of its own does not."""
+        self._tilted: CameraFeed | CameraProcess | SimPoseSensor | None = None
+        """The camera that tilts with the payload."""
         if vehicle.tilt is not None and vehicle.tilt.camera_deg is not None:
-            self._tilted = pictures if isinstance(pictures, CameraFeed) else self._pose
+            self._tilted = self._pose if pictures is None else pictures
         self._due_us = 0
         own: tuple[FaultySensor | None, ...] = (pictures, self._pose, self._hull, *self._optional)
         self._faulty = [sensor for sensor in own if sensor is not None]

@@ -66,6 +66,8 @@ class Exposure:
     clock_us: int
     """Time by :func:`machine_us`."""
     truth: Truth
+    off_rad: float
+    """Tilt of the camera: see :meth:`CameraFeed.tilt`."""
 
 
 class CameraProcess(Closing):
@@ -91,6 +93,7 @@ class CameraProcess(Closing):
         self.latency_s = CAMERA_FEED.transport_fraction * latency_s + 1e-6 * STREAM_US
         """Mean time from exposure to arrival, as a camera driver is told."""
         self._count = 0
+        self._off_rad = 0.0
         self.lost = 0
         """Exposures that the process could not take."""
         self._child: subprocess.Popen[bytes] | None = None
@@ -151,13 +154,18 @@ class CameraProcess(Closing):
         self._count = 0
         self.open()
 
+    def tilt(self, off_rad: float) -> None:
+        """See :meth:`CameraFeed.tilt`."""
+        self._off_rad = off_rad
+
     def observe(self, truth: Truth) -> None:
         """Expose what is due at ``truth.t_us`` or was since the truth before. ConfigError if the process has ended."""
         while truth.t_us >= self.next_us:
             exposed_us = self.next_us
             self._count += 1
             if truth.t_us < self.next_us:  # of several only the last: the others were due while nobody looked
-                self._send(Exposure(machine_us() + exposed_us - truth.t_us, _moved(truth, exposed_us)))
+                clock_us = machine_us() + exposed_us - truth.t_us
+                self._send(Exposure(clock_us, _moved(truth, exposed_us), self._off_rad))
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
@@ -235,6 +243,7 @@ def _run(feed: CameraFeed, server: MjpegServer | RtpSender, messages: "SimpleQue
             if isinstance(message, Exposure):
                 time = time or LoopTime(RECENT)
                 time.observe(message.truth.t_us, message.clock_us)
+                feed.tilt(message.off_rad)
                 feed.observe(message.truth)
             else:
                 feed.add(message)

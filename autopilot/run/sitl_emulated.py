@@ -71,6 +71,7 @@ def emulate(
                 link.send(report or b"")
             truth = vehicle.truth
             if pictures is not None:
+                pictures.tilt(vehicle.camera_off_rad)
                 pictures.observe(truth)
             away = float(((truth.pos_ned_m - start) ** 2).sum()) ** 0.5
             flight.max_distance_m = max(flight.max_distance_m, away)

@@ -122,6 +122,7 @@ def serve_physics(
                 if pictures is not None:
                     if physics.restarts > before:
                         pictures.restart()
+                    pictures.tilt(vehicles[-1].camera_off_rad)
                     pictures.observe(physics.truth)
                 report = vehicles[-1].pose(physics.t_us)
                 for link in trackers if report is not None else ():
