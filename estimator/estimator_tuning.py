@@ -417,6 +417,11 @@ class MarkersPoseTuning:
     point."""
     unit: float = 0.25
     """Cosine and sine of the heading that a leaning marker's square asks for may miss the unit circle by this."""
+    few_inflation: float = 4.0
+    """Of the covariance of a picture with at most two markers as one of a series: what they leave open of the tilt,
+    times the height, is alike for half a second, 15 pictures. Of 1, 2, 4, 8 and 16 the one with the least errors in
+    flights over sheets half a metre apart; with 1, pictures of more markers are rejected after those of one. With more
+    markers errors are alike, too, but a millimetre."""
     misfit_rms_px: float = 0.5
     """Corners are this far from where they belong on average only in thick haze, or when intrinsics or map are
     wrong."""
@@ -447,10 +452,6 @@ class PnpTuning:
     prior_count: float = 6.0
     """Standard deviation of a corner along one axis where the image did not tell, and how many residuals what is
     expected is worth: one marker's own residuals say little about it."""
-    inflation: float = 1.0
-    """Of the covariance from independent corners: the mean squared distance of the rendered poses is 3.5 (clear water)
-    to 5 (turbidity 2) of 4 without any. Their errors fade within five frames at 0.3 m/s, half of the variance at
-    once."""
     corner_sigmas: float = 3.0
     corner_floor: float = 2.5
     """Corners that lie further from their projection than this many of the image's standard deviations, and this many

@@ -1,8 +1,12 @@
 """Markers on the floor as a source of poses: from images, or from a sensor that delivers poses."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from autopilot.core.samples import MarkerSighting, PoseSample
+from autopilot.estimator.estimator_tuning import MARKERS_POSE, PNP
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
@@ -41,7 +45,11 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
         if isinstance(sample, PoseSample):
             return self.counted(fix_from_sample(sample, self.sensor))
         solver = self._solver_of(sample)
-        return None if solver is None else self._kept(self._solve(node, sample, solver))
+        fix = None if solver is None else self._kept(self._solve(node, sample, solver))
+        if fix is None or fix.fit is None or 4 * fix.fit.used > PNP.few_points:
+            return fix
+        more = MARKERS_POSE.few_inflation
+        return replace(fix, noise=more * fix.noise, sigma_tilt_rad=math.sqrt(more) * fix.sigma_tilt_rad)
 
     def solver_counts(self) -> dict[str, int]:
         """Counts of rejections as ``markers.<reason>``."""

@@ -7,8 +7,9 @@ A seventh unknown is the displacement of all corners towards their markers' cent
 the corner of a blurred black square inside the true one, by 0.2 to 0.5 px depending on optics, motion and window:
 taken for scale, that is a bias of the height that no residual shows and every frame repeats. Many markers separate it
 from height (the distances between markers do not shrink); with one marker the prior decides. The remaining errors of
-single corners are nearly independent, also from frame to frame, so that their size gives the covariance: expected per
-marker from the image, and scaled by the residuals, with more weight the more there are.
+single corners are nearly independent, so that their size gives the covariance: expected per marker from the image, and
+scaled by the residuals, with more weight the more there are. From rendered images the mean squared distance of the pose
+is 3.5 (clear water) to 5 (turbidity 2) of 4.
 """
 
 import math
@@ -210,7 +211,7 @@ class _PoseFit(CornerFit):
         ):
             return None
         information, _ = self._with_priors(np.zeros(7), 0.0)
-        covariance: FloatArray = PNP.inflation * np.asarray(np.linalg.inv(information), dtype=np.float64)
+        covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
         noise = floored(covariance[_POSE])
         sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
         return Pose(self._pos, rpy_from_r(self._rotation), noise, sigma_tilt_rad, self._left.reshape(-1, 2), rms)

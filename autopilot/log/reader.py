@@ -4,7 +4,7 @@ Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -174,6 +174,10 @@ class Log:
     def __contains__(self, topic: object) -> bool:
         info = self.topics.get(topic) if isinstance(topic, str) else None
         return info is not None and info.count > 0
+
+    def __iter__(self) -> Iterator[str]:
+        """Topics that have messages."""
+        return (topic for topic in self.topics if topic in self)
 
     def __getitem__(self, topic: str) -> MessageTable:
         """A topic of fixed-size messages.
