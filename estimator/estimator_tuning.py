@@ -435,8 +435,9 @@ MARKERS_POSE = MarkersPoseTuning()
 @dataclass(frozen=True, slots=True)
 class PnpTuning:
     steps: int = 10
-    converged: float = 4e-3
-    """Steps end when nothing moved by more than this [m, rad]; what is left is about its square, 0.02 mm."""
+    converged: float = 1e-3
+    """Steps end when nothing moved by more than this [m, rad]. What is left is about its square, but for the tilt of
+    few markers: corners weigh the more the better they fit, and after a step of 4 mrad ten may be left."""
     tilt_sigma_few_rad: float = 0.009
     """0.5 degrees: the AHRS's tilt as a prior when at most two markers are seen."""
     tilt_sigma_many_rad: float = 0.09

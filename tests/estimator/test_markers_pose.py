@@ -15,9 +15,18 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import MarkerSighting, Sample
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.estimator.estimator_tuning import PNP
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.markers_pose import MarkerSolver
-from autopilot.estimator.pnp import solve_pose
+from autopilot.estimator.measure_markers import MarkersAid
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.pictures import Pictures
+from autopilot.estimator.pnp import inward_of, solve_pose
+from autopilot.estimator.states import NX, POS, FilterState
+from autopilot.sitl.floor import given_markers
+from autopilot.sitl.scenario import load_scenario
 from tests.bench.calibrations import calibrated
 
 VEHICLE = calibrated()
@@ -32,18 +41,19 @@ def sight(
     sigma_px: float = 0.15,
     t_us: int = 0,
     most: int = 1000,
+    camera: CameraModel = CAMERA,
 ) -> MarkerSighting:
     """What a perfect detector would say of this pose, in random order."""
     r = r_ned_from_frd(rpy)
-    seen = rng.permutation(floor.visible(CAMERA, pos, r))[:most]
-    pixels = CAMERA.project(CAMERA.cam_from_ned(floor.corners_ned_m[seen], pos, r))
+    seen = rng.permutation(floor.visible(camera, pos, r))[:most]
+    pixels = camera.project(camera.cam_from_ned(floor.corners_ned_m[seen], pos, r))
     laser_origin = pos + r @ np.array(VEHICLE.laser.position_frd_m)
-    laser = CAMERA.laser_pixel((1.5 - laser_origin[2]) / r[2, 2])
+    laser = camera.laser_pixel((1.5 - laser_origin[2]) / r[2, 2])
     return MarkerSighting(
         t_us=t_us,
         ids=tuple(int(i) for i in floor.ids[seen]),
         corners_px=pixels + rng.normal(0.0, sigma_px, pixels.shape),
-        laser_px=laser if bool(CAMERA.inside(laser)) else None,
+        laser_px=laser if bool(camera.inside(laser)) else None,
     )
 
 
@@ -103,6 +113,42 @@ def test_one_marker_leans_on_the_ahrs_tilt(floor: MarkerMap) -> None:
         errors.append(fix.z[:3] - pos)
         assert fix.noise[0, 0] > 0.002**2
     assert float(np.abs(errors).max()) < 0.03
+
+
+@pytest.mark.parametrize("most", [1, 2])
+def test_few_large_markers_show_the_tilt_however_wrong_the_ahrs_is(most: int) -> None:
+    """To within the stated variance, of which the AHRS's error has its share."""
+    vehicle, floor = load_vehicle("bluerov2"), given_markers(load_scenario("pool"))
+    assert floor is not None
+    camera, rng, values = CameraModel.of_vehicle(vehicle), np.random.default_rng(8), []
+    solver = MarkerSolver(camera, floor)
+    for _ in range(80):
+        pos = np.array([*rng.uniform(-2.0, 2.0, 2), 1.15])
+        rpy = np.array([0.0, 0.15, rng.uniform(-3.0, 3.0)])
+        wrong = rpy + np.array([*rng.normal(0.0, 0.009, 2), 0.0])
+        seen = sight(floor, pos, rpy, rng, 0.1, most=most, camera=camera)
+        blurred = seen.corners_px + PNP.shrink_px * inward_of(seen.corners_px).reshape(-1, 4, 2)
+        fix = solver.track(replace(seen, corners_px=blurred), pos, wrong)
+        if fix is not None:
+            error = np.append(fix.z[:3] - pos, wrap_pi(float(fix.z[3] - rpy[2])))
+            values.append(float(error @ np.linalg.solve(fix.noise, error)))
+    assert len(values) > 60
+    assert np.mean(values) < 4.0 and np.max(values) < 20.0
+
+
+@pytest.mark.parametrize(("most", "ratio"), [(1, 4.0), (2, 4.0), (3, 1.0)])
+def test_few_markers_weigh_as_one_picture_of_a_series(floor: MarkerMap, most: int, ratio: float) -> None:
+    """What they leave open is alike in the next pictures: a filter that took it for noise would be too sure of it."""
+    pos, solver = np.array([0.2, -0.3, 0.9]), MarkerSolver(CAMERA, floor)
+    level = Inertial(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
+    x = np.zeros(NX)
+    x[POS] = pos
+    node = Node(0, Moment(level, (0.0,) * 4), None, FilterState(x, np.eye(NX)))
+    seen = sight(floor, pos, np.zeros(3), np.random.default_rng(4), most=most)
+    alone, fused = solver.track(seen, pos, np.zeros(3)), MarkersAid(Pictures(VEHICLE, solver)).fix(seen, node)
+    assert alone is not None and fused is not None
+    assert fused.noise == pytest.approx(ratio * alone.noise)
+    assert fused.sigma_tilt_rad == pytest.approx(math.sqrt(ratio) * alone.sigma_tilt_rad)
 
 
 def test_false_markers_are_left_out(floor: MarkerMap) -> None:
