@@ -46,9 +46,9 @@ def test_pandas(log: Log) -> None:
     frame = log["/nav/state"].to_pandas()
     assert len(frame) == len(log["/nav/state"]) and frame.index.name == "t_s"
     np.testing.assert_array_equal(frame["pos_ned_m[2]"], log["/nav/state"]["pos_ned_m"][:, 2])
-    for topic, info in log.topics.items():
-        if info.count:
-            assert len(log.to_pandas(topic)) == info.count, topic
+    assert list(log) == [topic for topic, info in log.topics.items() if info.count]
+    for topic in log:
+        assert len(log.to_pandas(topic)) == log.topics[topic].count, topic
     assert log.to_pandas("/rosout")["msg"].iloc[0] == log.messages("/rosout")[0].value["msg"]
 
 
