@@ -180,7 +180,10 @@ def settle_identity(path: Path, mine: msgspec.Struct) -> None:
         old = msgspec.json.decode(path.read_bytes())
     except msgspec.MsgspecError as error:
         raise LogError(f"{path}: damaged ({error}); choose another --out") from error
-    difference = first_difference(old, msgspec.json.decode(data), "")
+    new = msgspec.json.decode(data)
+    if isinstance(old, dict) and "files" not in old:  # of before they were noted
+        new.pop("files", None)
+    difference = first_difference(old, new, "")
     if difference:
         raise ConfigError(
             f"{path.parent}: holds another campaign: {difference}; choose another --out, or go on with what it was"
