@@ -84,6 +84,24 @@ def test_a_class_is_handed_over_as_it_is() -> None:
         fly("paper-tank", sensors="pose", controller="autopilot.control.los_pid:LosPit")
 
 
+class EndsBadly(Still):
+    def reset(self) -> None:
+        raise RuntimeError("no more")
+
+
+class NoMargin(Still):
+    def goal_margin_m(self, params: Any) -> float:
+        return float("nan")
+
+
+def test_a_controller_that_fails_at_the_end_does_not_take_the_flight_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AUTOPILOT_GUARD", "")
+    log = fly("paper-tank", sensors="pose", duration_s=2.5, controller=EndsBadly)
+    assert log.duration_s > 2.0
+    with pytest.raises(ConfigError, match=r"NoMargin: goal_margin_m\(\) returns nan; return a clearance"):
+        fly("paper-tank", sensors="pose", duration_s=2.5, controller=NoMargin)
+
+
 def _controller_of(part: Any) -> str:
     """The name under which the log has the controller, which has not pushed."""
     log = fly("paper-tank", sensors="pose", duration_s=2.5, controller=part)
