@@ -17,8 +17,9 @@ from autopilot.core.names import unknown
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import convert, mistaken, read_toml
 from autopilot.core.vehicle import load_vehicle
+from autopilot.sitl.fault_tables import SensorFrozen
 from autopilot.sitl.mismatch import mismatched
-from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
+from autopilot.sitl.scenario_tables import Scenario, SensorSilence, ThrusterLoss
 from autopilot.sitl.spread import Tables, check_spread
 
 FILE_KEYS = (("current", "file"), ("controller", "map"), ("markers", "file"))
@@ -97,7 +98,20 @@ def _broken_rules(tables: Tables, scenario: Scenario) -> list[str]:
         found += [f"`$.params.{name}`: {text}" for text in _refusal(partial(params.set, name, value))]
     if "tank" not in tables and scenario.sensors.position == "camera":
         found.append('`$.sensors.position` = "camera" needs a floor; add [tank] or use "pose"')
-    return found
+    return found + _faults_of_no_sensor(tables, scenario)
+
+
+def _faults_of_no_sensor(tables: Tables, scenario: Scenario) -> list[str]:
+    """Faults of sensors that the scenario does not have: nothing would happen."""
+    fitted = tables.get("sensors")
+    names = {*(fitted if isinstance(fitted, dict) else ()), "hull"}
+    names -= set() if scenario.sensors.hull.enabled else {"hull"}
+    return [
+        f'`$.fault[{index}].sensor` = "{fault.sensor}" is not in this scenario; '
+        + ("enable [sensors.hull]" if fault.sensor == "hull" else f"add [sensors.{fault.sensor}]")
+        for index, fault in enumerate(scenario.fault)
+        if isinstance(fault, SensorSilence | SensorFrozen) and fault.sensor not in names
+    ]
 
 
 def _refusal(attempt: Callable[[], object]) -> list[str]:

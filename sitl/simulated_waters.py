@@ -32,7 +32,7 @@ def moving_path(obstacle: MovingObstacle) -> MovingPath:
 
 
 def build_world(scenario: Scenario) -> SimulatedWaters:
-    """The world that a scenario describes. ConfigError if the vehicle would start outside the tank, or waves break."""
+    """The world that a scenario describes. ConfigError if the vehicle would start outside the water, or waves break."""
     solids: list[Solid] = []
     for number, obstacle in enumerate(scenario.obstacle, start=1):
         name = f"obstacle {number}"
@@ -50,6 +50,11 @@ def build_world(scenario: Scenario) -> SimulatedWaters:
         raise ConfigError(
             f"scenario {scenario.scenario.name!r}: `$.vehicle.start_m` = [{x:g}, {y:g}, {z:g}] is outside the tank;"
             " move it inside"
+        )
+    if z < 0.0:
+        raise ConfigError(
+            f"scenario {scenario.scenario.name!r}: `$.vehicle.start_m` = [{x:g}, {y:g}, {z:g}] is above the water;"
+            " its third number is the depth, positive down"
         )
     return SimulatedWaters(
         polygon_ned_m=tuple(tank.polygon_m) if tank is not None else None,

@@ -21,6 +21,11 @@ def finite(name: str, given: Sequence[float] | FloatArray, size: int) -> FloatAr
     return values
 
 
+def is_number(given: object) -> bool:
+    """Of Python or numpy."""
+    return isinstance(given, int | float | np.number)
+
+
 def thrust_limit_n(vehicle: Vehicle, params: ParamSet) -> FloatArray:
     """(N,) largest thrust, either way, that is commanded at nominal supply [N]."""
     return np.array([min(params["THR_LIMIT"], each.limit_n) for each in vehicle.thrusters])

@@ -11,6 +11,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.api.arrays import is_number
 from autopilot.api.settings import FlightOptions
 from autopilot.api.simulation import Simulation, StepInfo
 from autopilot.core.errors import ConfigError
@@ -74,6 +75,8 @@ class UnderwaterEnv(gymnasium.Env[Observed, Observed]):
     ) -> None:
         if action not in ("thrust", "goal"):
             raise ConfigError(f"action={action!r} is not valid; use thrust or goal")
+        if not is_number(seconds) or not seconds > 0.0:
+            raise ConfigError(f"seconds={seconds!r} is not valid; use a number of seconds above 0")
         self._simulation = Simulation(scenario, start=start, **options)
         self._reward, self._action, self._seconds = reward, action, seconds
         self._begin_s = math.nan

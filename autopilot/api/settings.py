@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TypedDict
 
+import numpy as np
+
 from autopilot.api.part_names import Part, part_name
 from autopilot.core.errors import ConfigError
 from autopilot.run.config import EffectiveSettings, allowed, flight_settings
@@ -55,10 +57,20 @@ def settings_of(
             value = str(value)
         if name != "params" and value is not None:
             values[name] = value
+    values = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
+    checked_seed(values.get("seed"))
     for name, value in values.items():
         if value is not None:
             _check(name, value)
     return flight_settings(folder, values), _params(options.get("params") or {})
+
+
+def checked_seed(given: object) -> int | None:
+    """The seed as Python's own number. ConfigError unless it is None or a whole number from 0 on."""
+    seed = given.item() if isinstance(given, np.generic) else given
+    if seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0):
+        return seed
+    raise ConfigError(f"seed={given!r} is not valid; use a whole number, 0 or more, or leave it out")
 
 
 def _plan(scenario: str) -> str | None:

@@ -14,13 +14,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, Unpack
 
+import numpy as np
+
 from autopilot.api.arrays import finite, thrust_limit_n
 from autopilot.api.set_points import SetPointClient
-from autopilot.api.settings import FlightOptions, settings_of
+from autopilot.api.settings import FlightOptions, checked_seed, settings_of
 from autopilot.api.stepped import Stepped
 from autopilot.control.protocol import STEP_S
 from autopilot.core.clock import TICK_US
-from autopilot.core.errors import AutopilotError
+from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, Outputs, ProgressState
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -38,6 +40,9 @@ STEP_TICKS = round(STEP_S * 1e6) // TICK_US
 
 ARMED_WITHIN_S = 60.0
 """Simulated time in which a vehicle has to be armed: poses are there after two seconds, pictures after five."""
+
+FARTHEST_M = 1e7
+"""A goal is nearer: from a pole to the equator."""
 
 SETTLED_S = 3.0
 """A flight goes on for so long after its mission is complete."""
@@ -132,9 +137,12 @@ class Simulation:
 
         Raises
         ------
+        ConfigError
+            The seed is no whole number from 0 on.
         AutopilotError
             It cannot be armed; the message has the reason.
         """
+        seed = checked_seed(seed)
         self._end()
         self._settings.put("seed", seed, "reset(seed)")
         if self._log is not None:
@@ -176,7 +184,7 @@ class Simulation:
         Raises
         ------
         ConfigError
-            Thrust or goal of another shape, or not finite.
+            Thrust or goal of another shape, not finite, or beyond any place.
         AutopilotError
             There has been no :meth:`reset`.
         """
@@ -259,9 +267,14 @@ class Simulation:
 
 
 def _goal(given: Sequence[float] | FloatArray) -> tuple[float, float, float, float]:
-    values = list(given)
-    yaw_rad = float(values.pop()) if len(values) == 4 else math.nan
-    north_m, east_m, depth_m = finite("goal", values, 3).tolist()
+    try:
+        values = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"goal={given!r} is no array of numbers ({error})") from error
+    yaw_rad = values.item(3) if values.shape == (4,) else math.nan
+    north_m, east_m, depth_m = finite("goal", values[:3] if values.shape == (4,) else values, 3).tolist()
+    if max(abs(north_m), abs(east_m), abs(depth_m)) > FARTHEST_M or abs(yaw_rad) > FARTHEST_M:
+        raise ConfigError(f"goal={given!r} is beyond any place; use metres, and radians or NaN for yaw")
     return north_m, east_m, depth_m, yaw_rad
 
 

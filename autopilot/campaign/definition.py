@@ -1,5 +1,6 @@
 """Definition of a campaign: a scenario with its spread, a seed, and all other inputs of its results."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from autopilot.estimator.create import find_estimator
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.provenance import revision
 from autopilot.sitl.protocol import find_plant
-from autopilot.sitl.scenario import load_scenario, load_tables, plan_path, with_vehicle
+from autopilot.sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.spread import Tables, drawn_tables, drawn_values, run_seed
 from autopilot.sitl.toml_text import toml_text
@@ -42,6 +43,8 @@ class CampaignIdentity(msgspec.Struct, frozen=True, kw_only=True):
     params: dict[str, float]
     own_code: dict[str, str] = {}
     """SHA-256 of the files of a controller, an estimator, a plant that do not ship, by kind."""
+    files: dict[str, str] = {}
+    """SHA-256 of the files that the tables name, by path; campaigns of before have none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -146,8 +149,19 @@ def define(
         duration_s=duration_s,
         params=params or {},
         own_code={plugin.kind: plugin.sha256 for plugin in plugins if plugin.sha256},
+        files=_digests(tables),
     )
     return Campaign(identity=identity, scenario=scenario, tables=tables)
+
+
+def _digests(tables: Tables) -> dict[str, str]:
+    """SHA-256 of the vehicle file, maps and grids that the tables name or draw, by path."""
+    named: list[Any] = []
+    for table, key in (("vehicle", "model"), *FILE_KEYS):
+        named.append(tables.get(table, {}).get(key))
+        named += tables.get("spread", {}).get(f"{table}.{key}", {}).get("choice") or []
+    paths = sorted({name for name in named if isinstance(name, str) and Path(name).is_file()})
+    return {path: hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in paths}
 
 
 def _flown_by(vehicle: str, scenario: Scenario, tables: Tables) -> Tables:

@@ -2,7 +2,7 @@
 
 ``campaign.json`` holds the identity, ``scenarios/run-0007.toml`` the scenario of run 7 (with its plan), and
 ``runs.jsonl`` (``runs-2of4.jsonl`` for a shard) one :class:`RunResult` per line, each written and synced at once. A
-truncated last line is dropped. Shards are merged by copying their ``runs-*.jsonl`` into one folder. World campaigns
+truncated last line is dropped. Shards are merged by copying their ``runs-*.jsonl`` into one's folder. World campaigns
 and the fault campaign store their flights in the same way (:class:`ResultStore`).
 """
 
@@ -22,6 +22,7 @@ from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
 
 IDENTITY = "campaign.json"
+RUNS = "runs*.jsonl"
 GO_ON = "finished runs are kept; make room, and the same command goes on"
 
 Result = TypeVar("Result")
@@ -99,7 +100,7 @@ class Store(ResultStore[RunResult]):
     def _prepare(self, folder: Path) -> None:
         scenarios = folder / "scenarios"
         scenarios.mkdir(exist_ok=True)
-        settle_identity(folder / IDENTITY, self._identity)
+        settle_identity(folder / IDENTITY, self._identity, RUNS)
         (scenarios / self._identity.plan_name).write_text(self._identity.plan, encoding="utf-8")
 
     def results(self) -> dict[int, RunResult]:
@@ -147,7 +148,7 @@ def read_identity(folder: Path) -> CampaignIdentity:
 
 def read_results(folder: Path) -> dict[int, RunResult]:
     """Finished runs of all shards in a folder, in order. LogError names a line that is damaged."""
-    found = read_lines(sorted(folder.glob("runs*.jsonl")), RunResult, lambda result: result.run)
+    found = read_lines(sorted(folder.glob(RUNS)), RunResult, lambda result: result.run)
     return dict(sorted(found.items()))
 
 
@@ -169,10 +170,16 @@ def read_lines(paths: Iterable[Path], kind: type[Result], key: Callable[[Result]
     return found
 
 
-def settle_identity(path: Path, mine: msgspec.Struct) -> None:
-    """Write the identity into a new folder; in an old one it has to be the same."""
+def settle_identity(path: Path, mine: msgspec.Struct, lines: str) -> None:
+    """Write the identity into a new folder; in an old one it has to be the same. ``lines``: what results are in."""
     data = msgspec.json.format(msgspec.json.encode(mine), indent=1)
+    results = [file for file in path.parent.glob(lines) if file.stat().st_size]  # before: both may come meanwhile
     if not path.exists():
+        if results:
+            raise ConfigError(
+                f"{path.parent}: holds {results[0].name} without {path.name}, so it is not known of what; copy the"
+                f" {path.name} of its campaign there, or choose another --out"
+            )
         fresh = path.with_suffix(f".{os.getpid()}")
         fresh.write_bytes(data)
         fresh.replace(path)
@@ -180,7 +187,10 @@ def settle_identity(path: Path, mine: msgspec.Struct) -> None:
         old = msgspec.json.decode(path.read_bytes())
     except msgspec.MsgspecError as error:
         raise LogError(f"{path}: damaged ({error}); choose another --out") from error
-    difference = first_difference(old, msgspec.json.decode(data), "")
+    new = msgspec.json.decode(data)
+    if isinstance(old, dict) and "files" not in old:  # of before they were noted
+        new.pop("files", None)
+    difference = first_difference(old, new, "")
     if difference:
         raise ConfigError(
             f"{path.parent}: holds another campaign: {difference}; choose another --out, or go on with what it was"

@@ -261,5 +261,9 @@ def _estimator_alone(
             click.echo(f"{match.topic}: {match.identical} of {match.logged} messages identical")
             if match.first:
                 click.echo(f"  first difference {match.first}")
+    for problem in opened.problems:
+        click.echo(f"warning: {opened.path}: {problem}; replayed is what comes before", err=True)
     if not changed and not all(match.same for match in found):
         raise click.exceptions.Exit(EXIT_FAILED)
+    if opened.problems:
+        raise click.exceptions.Exit(EXIT_LOSS)

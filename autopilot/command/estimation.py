@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from autopilot.core import operator_messages as notices
 from autopilot.core.guard import Guard
 from autopilot.core.messages import (
@@ -41,6 +43,11 @@ class Estimated:
     doubts: frozenset[NavDoubt] = frozenset()
 
 
+_SIZES = {
+    **dict.fromkeys(("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s"), (3,)),
+    "current_ned_m_s": (3,),
+    "variance": (12,),
+}
 FINITE_AGAIN_US = 1_000_000
 """After so long without one that is not finite."""
 
@@ -87,7 +94,7 @@ class Estimation:
 
     def _estimate(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
         estimator, t_us = self._estimator, inputs.t_us
-        nav = estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
+        nav = _shaped(estimator.step(t_us, inputs.samples + given.samples, given.thrust_n))
         remarks = estimator.take_remarks()
         self._remarks += [notices.ESTIMATOR_REMARK.event(t_us, text=text) for text in remarks]
         return Estimated(
@@ -140,3 +147,16 @@ class Estimation:
             counts.get("resets", 0),
         )
         return {**counts, **pictures, "nav.not_finite": self._not_finite}
+
+
+def _shaped(nav: object) -> NavState | None:
+    """What an estimator has returned, if it is a state with arrays of the right shapes; else a TypeError."""
+    if nav is None:
+        return None
+    if not isinstance(nav, NavState) or not isinstance(nav.health, NavHealth):
+        raise TypeError(f"step() must return a NavState or None, not {nav!r:.80}")
+    for name, shape in _SIZES.items():
+        part = getattr(nav, name)
+        if not isinstance(part, np.ndarray) or part.shape != shape or part.dtype.kind not in "fiu":
+            raise TypeError(f"{name} must be an array {shape} of numbers, not {part!r:.80}")
+    return nav

@@ -248,8 +248,9 @@ def checked_thrust_n(thrust_n: FloatArray, limit_n: FloatArray) -> FloatArray:
     """Thrust (N,) clipped to ``limit_n`` (N,) [N]. ValueError: another shape, not finite, or a limit that is NaN."""
     if np.shape(thrust_n) != limit_n.shape:
         raise ValueError(f"thrust_n has shape {np.shape(thrust_n)}, this vehicle needs {limit_n.shape}")
+    thrust_n = np.asarray(thrust_n, dtype=np.float64)
     # Four to eight numbers, at every tick: a list is quicker than three small arrays.
-    wanted = np.asarray(thrust_n).tolist()
+    wanted = thrust_n.tolist()
     if not all(map(math.isfinite, wanted)):
         raise ValueError(f"thrust_n is not finite: {wanted}")
     limits = limit_n.tolist()

@@ -4,15 +4,16 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
-from autopilot.core.errors import LogError
+from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, MessageTable, open_log
-from autopilot.record.estimator_setup import read_vehicle
+from autopilot.record.estimator_setup import VEHICLE_FILE, read_vehicle
 
 STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""
@@ -50,12 +51,13 @@ class Windows:
 
 def read_windows(paths: list[Path], vehicle: Vehicle | None = None) -> tuple[Windows, Vehicle]:
     """Windows of all logs, and their vehicle file unless ``vehicle`` is given. LogError if a log lacks data or all
-    together are too short.
+    together are too short; ConfigError if one is of a vehicle with other thrusters.
     """
     parts: list[Windows] = []
     for index, path in enumerate(paths):
         log = open_log(path)
         known = vehicle or read_vehicle(log)
+        _same_thrusters(log, known)
         vehicle = known
         parts.append(_of_log(log, known, index))
     if vehicle is None:
@@ -73,6 +75,30 @@ def read_windows(paths: list[Path], vehicle: Vehicle | None = None) -> tuple[Win
             f" a good estimate; at least {MIN_WINDOWS} are needed: fly longer"
         )
     return joined, vehicle
+
+
+class _Thruster(msgspec.Struct):
+    name: str
+
+
+class _Flown(msgspec.Struct):
+    """Of the vehicle file in a log."""
+
+    name: str
+    thruster: list[_Thruster]
+
+
+def _same_thrusters(log: Log, vehicle: Vehicle) -> None:
+    try:
+        flown = msgspec.json.decode(log.attachments.get(VEHICLE_FILE, b""), type=_Flown)
+    except msgspec.MsgspecError:
+        return  # not told, or by another version
+    names, known = ([thruster.name for thruster in each] for each in (flown.thruster, vehicle.thrusters))
+    if names != known:
+        raise ConfigError(
+            f"{log.path}: was flown by {flown.name} with the thrusters {', '.join(names)}, and {vehicle.name} has"
+            f" {', '.join(known)}; name a vehicle with those, and logs of one vehicle only"
+        )
 
 
 def _of_log(log: Log, vehicle: Vehicle, index: int) -> Windows:

@@ -77,6 +77,8 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
     """Messages per channel."""
+    nameless: int = 0
+    """Messages that are sound, but of a channel that no readable record names."""
     first_ns: int | None = None
     last_ns: int | None = None
     """Log times of the first and last message."""
@@ -236,6 +238,11 @@ def index_from_chunks(file: IO[bytes], contents: Contents) -> None:
         else:
             usable.append(chunk)
     contents.chunks = usable
+    nameless = {number: contents.counts.pop(number) for number in [*contents.counts] if number not in contents.channels}
+    contents.nameless = sum(nameless.values())
+    told = f"{contents.nameless} messages are left out: what names their topics is damaged"
+    if contents.nameless and told not in contents.problems:
+        contents.problems.append(told)
 
 
 def unpack(file: IO[bytes], chunk: ChunkRef) -> bytes:

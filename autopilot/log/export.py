@@ -43,14 +43,14 @@ def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind
     Raises
     ------
     LogError
-        Unknown topic, missing library, or a requested topic cannot be decoded (without a request it is left out and
-        named in ``log.problems``).
+        Unknown topic (of a damaged log it may be lost), missing library, or a requested topic cannot be decoded
+        (without a request it is left out and named in ``log.problems``).
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:
         meant = did_you_mean(unknown[0], log.topics)
-        text = f"{log.path}: has no topic {', '.join(unknown)}; {meant}it has {', '.join(log.topics)}"
-        raise UnknownNameError(text)
+        text = f"{log.path}: has no topic {', '.join(unknown)}; {meant}it has {', '.join(log.topics) or 'none'}"
+        raise LogError("; ".join((text, *log.problems))) if log.problems else UnknownNameError(text)
     writer = _writer(kind)
     try:
         make_folder(folder)

@@ -179,6 +179,10 @@ def _group(log: Log, run: RunDescription | None) -> dict[str, Any]:
     """Everything that was set, by kind, without the seed."""
     settings = {name: value for name, value in log.run.items() if name not in _OF_THE_RUN}
     scenario = _attached(log, "scenario.json")
+    config = _attached(log, "config.json")
+    if "sensors" in config:
+        settings["sensors"] = config["sensors"] or scenario.get("sensors", {}).get("position", "")
+        settings["markers"] = config.get("markers") or ""
     if "scenario" in scenario:
         scenario = {**scenario, "scenario": {**scenario["scenario"], "seed": None}}
     return {

@@ -32,6 +32,8 @@ from autopilot.log.message_table import MessageTable as MessageTable
 
 _EPOCH_DIGITS = 20
 """A Unix time in nanoseconds has fewer digits than this (until the year 2286)."""
+MOST_HZ = 1e6
+"""Times are whole microseconds."""
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
 
 
@@ -243,8 +245,9 @@ class Log:
         LogError
             A topic is missing, empty or of variable size, or they have no time in common.
         """
-        if not rate_hz > 0.0 or not topics:
-            raise LogError(f"{self.path}: align() needs topics and a rate above 0 Hz, not {rate_hz:g}")
+        if not 0.0 < rate_hz <= MOST_HZ or not topics or isinstance(topics, str):
+            wanted = f"a list of topics and a rate above 0 Hz, {MOST_HZ:g} Hz at most"
+            raise LogError(f"{self.path}: align() needs {wanted}, not {topics!r} and {rate_hz:g}")
         self.load(topics)
         tables = {topic: self[topic] for topic in topics}
         empty = [topic for topic, table in tables.items() if not len(table)]

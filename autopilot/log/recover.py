@@ -1,7 +1,8 @@
 """Repair of unfinished logs: everything readable is copied to a new file that replaces the old one.
 
 The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is
-locked and left alone; the repaired file is opened and counted again before it replaces the original.
+locked and left alone; the repaired file is opened and counted again before it replaces the original. An original
+with messages that the copy lacks, because their topics are not known, is kept as ``*.damaged``.
 """
 
 import os
@@ -17,6 +18,8 @@ from autopilot.log.reader import open_log
 from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
 
+DAMAGED = ".damaged"
+"""Added to the name of an original that is kept."""
 RECOVERED_RECORD = "recovered"
 """Metadata record of a repaired log: its damage."""
 
@@ -72,7 +75,10 @@ def recover_log(path: Path) -> Recovery | None:
         contents = read_contents(path)
         if contents.finished:
             return None
-        problem = "; ".join(contents.problems)
+        kept = path.with_name(path.name + DAMAGED) if contents.nameless else None
+        problem = "; ".join((*contents.problems, *([f"the original is kept as {kept.name}"] if kept else ())))
+        if kept is not None and kept.exists():
+            raise LogError(f"{path}: not repaired, {kept} would be overwritten; move it away")
         copy = path.with_name(f".{path.name}.recovering")
         try:
             written = _copy(file, contents, copy, problem)
@@ -81,6 +87,8 @@ def recover_log(path: Path) -> Recovery | None:
                 return Recovery(
                     path=path, messages=0, problem=f"{problem}; the repaired copy is not sound", repaired=False
                 )
+            if kept is not None:
+                os.replace(path, kept)
             os.replace(copy, path)
         finally:
             copy.unlink(missing_ok=True)

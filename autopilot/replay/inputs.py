@@ -155,7 +155,7 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
 
 def _tick(log: Log, t_us: int, samples: list[Sample], thrust_n: FloatArray, missing: int) -> EstimatorTick:
     if missing:
-        raise LogError(
-            f"{log.path}: {missing} of the inputs at {1e-6 * t_us:.2f} s are missing; 'log info' names the loss"
-        )
+        at = f"{1e-6 * t_us:.2f} s"
+        lost = f"{missing} of the inputs at {at} are" if missing > 0 else f"the tick of {-missing} inputs after {at} is"
+        raise LogError(f"{log.path}: {lost} missing; 'log info' names the loss")
     return EstimatorTick(t_us=t_us, samples=tuple(samples), thrust_n=thrust_n)

@@ -81,9 +81,10 @@ class ServiceInputs:
         missing = int(tick["samples"]) - len(samples)
         frames = int(tick["frames"]) - len(notes.rx)
         if missing or frames:
-            what = f"{missing} of the samples" if missing else "the notes of its datagrams"
+            what = f"{missing} of the samples at" if missing else "the notes of its datagrams at"
+            what = what if missing >= 0 else f"the tick of {-missing} samples after"
             end = " (the log ends there)" if last else ""
-            self.stopped = f"{what} at {1e-6 * t_us:.2f} s {'are' if frames else 'is'} missing{end}"
+            self.stopped = f"{what} {1e-6 * t_us:.2f} s {'are' if frames else 'is'} missing{end}"
             return False
         given = Inputs(
             t_us=t_us, samples=tuple(samples), overruns=int(tick["overruns"]), cpu_load=float(tick["cpu_load"])

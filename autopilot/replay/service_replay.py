@@ -174,11 +174,11 @@ def _compared(log: Log, again: Log, ticks: int, rerun: Rerun) -> ReplayResult:
             f"{MAVLINK_OUT} from {since_s:.2f} s on: a client looked at logs on board, which are not in this"
         )
         found = [one for one in found if one.topic != MAVLINK_OUT or (one.t_s is not None and one.t_s < since_s)]
-    topics = [topic for topic in log.topics if topic not in ignored]
+    both = {topic: again.topics[topic].count for topic in log.topics if topic in again.topics and topic not in ignored}
     return ReplayResult(
         ticks=ticks,
-        messages=sum(log.topics[topic].count for topic in topics),
-        topics=len(topics),
+        messages=sum(min(log.topics[topic].count, count) for topic, count in both.items()),
+        topics=len(both),
         differences=tuple(sorted(found, key=lambda one: (float("inf") if one.t_s is None else one.t_s, one.topic))),
         stopped=stopped,
         remarks=tuple(remarks),

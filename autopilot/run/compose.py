@@ -1,8 +1,11 @@
 """Composition root: builds the service and, for SITL, its simulated world."""
 
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from autopilot import __version__
 from autopilot.command.commander import Commander
@@ -18,6 +21,7 @@ from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import Controller, ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.background import BackgroundWorker
+from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
@@ -99,10 +103,14 @@ def end_slow_work(parts: ServiceParts, *more: BackgroundWorker) -> None:
     """Cancel pending background work on routes, plans and checks. ``more``: further workers to close."""
     try:
         parts.plans.close()
-        parts.controller.reset()
+        parts.guard.run("controller", parts.controller.reset, None)
     finally:
         for worker in (*parts.workers, *more):
             worker.close()
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and math.isfinite(value)
 
 
 def build_service(
@@ -130,6 +138,9 @@ def build_service(
     )
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
     controller = controller if around is None else around(controller)
+    margin_m = controller.goal_margin_m(params)
+    if not _is_finite(margin_m):
+        raise ConfigError(f"{setup.controller}: goal_margin_m() returns {margin_m!r}; return a clearance in metres")
     plans = Plans(
         params, vehicle.radius_m, setup.origin, setup.current_check, checks, lambda: controller.goal_margin_m(params)
     )

@@ -209,8 +209,9 @@ def gather(
         variable = ENVIRONMENT_PREFIX + name.upper()
         if variable in env:
             settings.put(name, _from_environment(name, variable, env[variable]), f"environment {variable}")
-        if given.get(name) not in (None, ()):
-            settings.put(name, given[name], "command line")
+        chosen = given.get(name)
+        if chosen is not None and not (isinstance(chosen, tuple) and not chosen):
+            settings.put(name, chosen, "command line")
     return settings
 
 

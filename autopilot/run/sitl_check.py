@@ -58,6 +58,9 @@ def check_scenario(name_or_path: str, scenario: Scenario) -> ScenarioFindings:
         build_plant(scenario, vehicle)
         remarks += _start_clearance(scenario, vehicle)
         remarks += _check_current(scenario, vehicle, steps, facts)
+    yaw = scenario.vehicle.start_yaw_rad
+    if abs(yaw) > 2.0 * math.pi:
+        remarks.append(f"vehicle.start_yaw_rad = {yaw:g} is in radians, and more than a turn; 90 degrees are 1.5708")
     if scenario.spread:
         facts["spread"] = f"{len(scenario.spread)} keys: {', '.join(scenario.spread)}"
         if scenario.scenario.duration_s is None:

@@ -1,5 +1,6 @@
 """The Gymnasium environment: its own checker, spaces, ends, environments in processes."""
 
+import math
 import warnings
 from typing import Any
 
@@ -69,5 +70,8 @@ def test_environments_fly_in_processes_of_their_own() -> None:
 def test_what_cannot_be_is_named() -> None:
     with pytest.raises(ConfigError, match="action='fly' is not valid; use thrust or goal"):
         UnderwaterEnv(reward=nearer, action="fly")  # type: ignore[arg-type]
+    for seconds in (-1, 0, math.nan, "5"):
+        with pytest.raises(ConfigError, match=r"seconds=.* is not valid; use a number of seconds above 0"):
+            UnderwaterEnv(reward=nearer, seconds=seconds)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="sensor='pose' is no option"):
         UnderwaterEnv(reward=nearer, sensor="pose")  # type: ignore[call-arg]

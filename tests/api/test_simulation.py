@@ -1,6 +1,7 @@
 """The front door: fly, step, read; what is asked for happens, and what cannot be is said."""
 
 import gc
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +84,24 @@ def test_a_class_is_handed_over_as_it_is() -> None:
         fly("paper-tank", sensors="pose", controller="autopilot.control.los_pid:LosPit")
 
 
+class EndsBadly(Still):
+    def reset(self) -> None:
+        raise RuntimeError("no more")
+
+
+class NoMargin(Still):
+    def goal_margin_m(self, params: Any) -> float:
+        return float("nan")
+
+
+def test_a_controller_that_fails_at_the_end_does_not_take_the_flight_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AUTOPILOT_GUARD", "")
+    log = fly("paper-tank", sensors="pose", duration_s=2.5, controller=EndsBadly)
+    assert log.duration_s > 2.0
+    with pytest.raises(ConfigError, match=r"NoMargin: goal_margin_m\(\) returns nan; return a clearance"):
+        fly("paper-tank", sensors="pose", duration_s=2.5, controller=NoMargin)
+
+
 def _controller_of(part: Any) -> str:
     """The name under which the log has the controller, which has not pushed."""
     log = fly("paper-tank", sensors="pose", duration_s=2.5, controller=part)
@@ -101,8 +120,8 @@ def _controller_of(part: Any) -> str:
         ({"params": {"SPD_CRUSE": 0.2}}, "SPD_CRUSE"),
         ({"params": {"SPD_CRUISE": "fast"}}, "write {NAME: number}"),
         ({"params": 3}, "write {NAME: number}"),
-        ({"seed": -1}, "seed=-1 is not valid; use 0 or more"),
-        ({"seed": "one"}, "seed='one' is a str, which it cannot be"),
+        *(({"seed": seed}, f"seed={seed!r} is not valid; use a whole number, 0 or more") for seed in (-1, "one", 1.5)),
+        ({"seed": True}, "seed=True is not valid"),
         ({"duration_s": 0.0}, "duration=0.0 is not valid; use a number of seconds above 0"),
         ({"vehicle": "lbv15"}, "lbv15"),
     ],
@@ -111,6 +130,24 @@ def test_what_cannot_be_is_named(options: dict[str, Any], text: str) -> None:
     with pytest.raises(AutopilotError) as caught:
         fly("paper-tank", **options)
     assert text in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    given = {"seed": np.int64(7), "duration_s": np.float64(0.5)}
+    log = fly("paper-tank", sensors="pose", **given)  # type: ignore[arg-type]
+    assert log.run["seed"] == "7" and log.duration_s < 1.0
+    assert json.loads(log.attachments["config.json"])["seed"] == 7
+    with quick() as sim:
+        sim.reset(np.int64(7))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", [-3, 1.0, True, np.float64(2.0), "1"])
+def test_a_seed_that_is_none_is_named_and_the_flight_goes_on(seed: Any) -> None:
+    with quick() as sim:
+        sim.reset()
+        with pytest.raises(ConfigError, match="seed="):
+            sim.reset(seed)
+        sim.step()
 
 
 def test_a_scenario_that_does_not_exist_is_named() -> None:
@@ -190,9 +227,13 @@ def test_steps_that_cannot_be_are_named() -> None:
     for thrust in ([1.0], [np.nan, 0.0, 0.0, 0.0], "full"):
         with pytest.raises(ConfigError, match="thrust_n="):
             sim.step(thrust)  # type: ignore[arg-type]
-    for goal in ([1.0], [np.inf, 0.0, 0.0]):
+    place = [0.0, 0.0, 0.3]
+    for goal in ([1.0], [np.inf, 0.0, 0.0], [*place, np.inf], [*place, 1e300], [1e300, 0.0, 0.3], [10**400, 0.0, 0.0]):
         with pytest.raises(ConfigError, match="goal"):
             sim.step(goal=goal)
+    for wrong in ("abc", "123", 1.0, [None, 0.0, 0.3], [*place, "north"], [place, place], {"north": 0.0}):
+        with pytest.raises(ConfigError, match="goal"):
+            sim.step(goal=wrong)  # type: ignore[arg-type]
     sim.close()
     with pytest.raises(AutopilotError, match="call reset"):
         sim.step()

@@ -170,6 +170,8 @@ def test_other_inputs_give_thrust_within_limits_or_none(what: str, value: float)
 def test_no_answer_that_is_no_number_passes() -> None:
     limit_n, thrust_n = np.full(4, 9.0), np.array([1.0, 20.0, -20.0, 0.0])
     assert checked_thrust_n(thrust_n, limit_n).tolist() == [1.0, 9.0, -9.0, 0.0]
+    listed: Any = [1, 2.0, -3.0, 0.0]
+    assert isinstance(checked_thrust_n(listed, limit_n), np.ndarray), "what comes behind it takes arrays"
     for value in (math.nan, math.inf, -math.inf):
         for place in range(4):
             wrong = thrust_n.copy()

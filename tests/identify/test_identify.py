@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from autopilot.calibrate.vehicle_edit import write_updated
 from autopilot.cli.identify import identify
-from autopilot.core.errors import LogError
+from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.vehicle import load_vehicle
@@ -17,6 +18,7 @@ from autopilot.identify.fit import fit
 from autopilot.identify.identification_report import changes, kept_axes, rows_of
 from autopilot.identify.prediction import AXES, N_COMMON, CoefficientScale, predict
 from autopilot.identify.record import STEP_S, WINDOW_STEPS, Windows
+from autopilot.log.writer import LogWriter
 
 VEHICLE = load_vehicle("lbv150")
 BASE = VEHICLE.to_model()
@@ -102,6 +104,17 @@ def test_prediction_agrees_with_itself_in_halves() -> None:
     whole = predict(values, BASE, data.start, data.inputs, still, STEP_S)
     half = predict(values, BASE, data.start, data.inputs[:, :40], still, STEP_S)
     assert half == pytest.approx(whole[:, :41])
+
+
+def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "six.mcap"
+    flown = msgspec.json.encode(load_vehicle("bluerov2"))
+    LogWriter(path, epoch_ns=10**18, metadata={}, attachments={"vehicle.json": flown}).close()
+    result = CliRunner().invoke(identify, [str(path), "--vehicle", "lbv150"])
+    assert isinstance(result.exception, ConfigError)
+    assert "was flown by" in str(result.exception) and VEHICLE.thrusters[0].name in str(result.exception)
+    result = CliRunner().invoke(identify, [str(path), "--vehicle", "bluerov2"])
+    assert isinstance(result.exception, LogError)
 
 
 def test_a_log_that_is_no_flight_is_refused(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """A synthetic run of the paper's mission: kinematics only, made to order for tests of the log."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +196,7 @@ class Run:
     description: RunDescription = DESCRIPTION
     step_us: int = STEP_US
     full_inputs: bool = False
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def write_run(path: Path, run: Run | None = None, epoch_ns: int = EPOCH_NS) -> Path:
@@ -212,7 +213,7 @@ def write_run(path: Path, run: Run | None = None, epoch_ns: int = EPOCH_NS) -> P
             "scenario": run.description.scenario,
             "seed": str(run.description.seed),
         },
-        attachments={"config.toml": b"[a]\nb = 1\n"},
+        attachments={"config.toml": b"[a]\nb = 1\n", **run.attachments},
         lossless=True,
     )
     end_us = int(2 * run.laps * LEG_S * 1e6) + 500_000

@@ -19,7 +19,9 @@ def fly(tmp_path_factory: pytest.TempPathFactory) -> Fly:
     """Writes a run of one lap: its power, and what is changed of its description."""
     folder = tmp_path_factory.mktemp("compare")
 
-    def written(name: str, *, power_w: float = 20.0, seed: int = 1, truth: bool = True, **changes: Any) -> Path:
+    def written(
+        name: str, *, power_w: float = 20.0, seed: int = 1, truth: bool = True, config: str = "{}", **changes: Any
+    ) -> Path:
         def change(_: float, truth: Truth) -> Truth:
             return replace(truth, power_w=power_w)
 
@@ -27,7 +29,7 @@ def fly(tmp_path_factory: pytest.TempPathFactory) -> Fly:
         description = replace(DESCRIPTION, accept=accept, seed=seed, **changes)
         path = folder / f"{name}.mcap"
         run = Run(laps=1, step_us=200_000, description=description, change_truth=change, with_truth=truth)
-        return write_run(path, replace(run, full_inputs=not truth))
+        return write_run(path, replace(run, full_inputs=not truth, attachments={"config.json": config.encode()}))
 
     return written
 
@@ -81,6 +83,17 @@ def test_flights_that_differ_in_their_seed_only_are_one_column(fly: Fly, two: tu
     assert set(alone["columns"]) == {"A", "B"} and "mean" in alone["figures"][0]["values"]
     again = json.loads(call("compare", two[0], two[0], "--json")[1])
     assert set(again["columns"]) == {"A", "B"}, "flights of one seed are no sample"
+
+
+def test_flights_by_camera_and_by_pose_sensor_are_two_columns(fly: Fly) -> None:
+    configs = [
+        f'{{"sensors": {sensors}, "markers": {markers}}}'
+        for sensors, markers in (('"pose"', "null"), ('"camera"', "null"), ('"pose"', '"a.toml"'))
+    ]
+    logs = [fly(f"sensors-{n}", seed=n, config=config) for n, config in enumerate((*configs, configs[0]))]
+    found = json.loads(call("compare", *logs, "--json")[1])
+    assert [len(column) for column in found["columns"].values()] == [2, 1, 1]
+    assert found["differences"] == ["B has sensors camera, not pose", "C has markers a.toml, not none"]
 
 
 def test_logs_with_little_in_common_still_have_a_table(fly: Fly, two: tuple[Path, Path], tmp_path: Path) -> None:

@@ -213,6 +213,27 @@ def test_recovery(sound: Path, tmp_path: Path) -> None:
     assert [r.path for r in recover_unfinished(tmp_path)] == [locked, junk]
 
 
+def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path: Path) -> None:
+    """The first chunk holds the names of the topics."""
+    data = bytearray(sound.read_bytes())
+    first = read_contents(sound).chunks[0]
+    data[first.offset + first.length // 2] ^= 0xFF
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: len(data) * 2 // 3])
+    before = path.read_bytes()
+    log = open_log(path)
+    log.verify()
+    (told,) = (problem for problem in log.problems if "what names their topics" in problem)
+    (recovery,) = recover_unfinished(tmp_path)
+    assert recovery.repaired and recovery.messages == log.message_count == open_log(path).message_count
+    assert told in recovery.problem and "cut.mcap.damaged" in recovery.problem
+    kept = tmp_path / "cut.mcap.damaged"
+    assert kept.read_bytes() == before and recover_unfinished(tmp_path) == []
+    path.write_bytes(before)
+    (again,) = recover_unfinished(tmp_path)
+    assert not again.repaired and "would be overwritten" in again.problem and path.read_bytes() == before
+
+
 _VICTIM = """
 import sys, time
 from pathlib import Path

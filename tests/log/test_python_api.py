@@ -1,6 +1,7 @@
 """Reading from Python: tables, alignment, pandas, and the example of the docs."""
 
 import importlib.util
+import math
 
 import numpy as np
 import pytest
@@ -32,6 +33,11 @@ def test_aligned_topics_share_their_times(log: Log) -> None:
 def test_what_cannot_be_aligned_is_named(log: Log) -> None:
     with pytest.raises(LogError, match="above 0 Hz"):
         log.align(["/nav/state"], 0.0)
+    for rate_hz in (math.inf, math.nan, 1e300):
+        with pytest.raises(LogError, match="above 0 Hz"):
+            log.align(["/nav/state"], rate_hz)
+    with pytest.raises(LogError, match="needs a list of topics"):
+        log.align("/nav/state", 10.0)
     with pytest.raises(LogError, match="/no/such"):
         log.align(["/nav/state", "/no/such"], 10.0)
     with pytest.raises(LogError, match="variable size"):

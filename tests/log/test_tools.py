@@ -78,6 +78,15 @@ def test_parquet_where_pyarrow_is(flown: Path, tmp_path: Path) -> None:
         assert table.column_names == list(log.columns(topic)) and table.num_rows == log.topics[topic].count
 
 
+def test_a_topic_that_a_damaged_log_lacks_is_no_usage_error(flown: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flown.read_bytes()[:100])
+    done = call("export", cut, "--topic", "/nav/state", "--out", tmp_path)
+    assert done.exit_code == 1 and "it has none" in str(done.exception) and "cut off" in str(done.exception)
+    done = call("export", flown, "--topic", "/no/such", "--out", tmp_path)
+    assert isinstance(done.exception, UnknownNameError)
+
+
 def test_what_is_nested_has_a_column_for_each_number(flown: Path) -> None:
     log = open_log(flown)
     columns = log.columns("/in/ahrs")

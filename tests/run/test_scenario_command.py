@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from autopilot.analysis.flow_maps import b6_map
 from autopilot.cli.scenario_command import scenario as command
+from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle
 from autopilot.core.toml_table import convert
@@ -157,6 +158,39 @@ def test_a_goal_beyond_the_drawn_fence_is_a_problem(tmp_path: Path) -> None:
     far = MISSION.replace("x_m = 2.0", "x_m = 8.0")
     assert call("check", own(tmp_path, mission=far)).exit_code == 1
     assert call("check", own(tmp_path, bigger.replace("[3.0, 2.0]", "[9.0, 2.0]"), far)).exit_code in (0, 3)
+
+
+def edited(folder: Path, source: str, *changes: tuple[str, str], more: str = "") -> Path:
+    """A copy of a scenario with other lines, and more behind them."""
+    assert call("new", "mine", "--from", source, "--out", folder).exit_code == 0
+    file = folder / "mine.toml"
+    text = file.read_text(encoding="utf-8")
+    for pattern, line in changes:
+        text, count = re.subn(pattern, line, text, flags=re.MULTILINE)
+        assert count == 1
+    file.write_text(text + more, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("source", ["paper-tank", "open-water"])
+def test_a_start_in_the_air_is_a_problem(tmp_path: Path, source: str) -> None:
+    done = call("check", edited(tmp_path, source, (r"^start_m = .*$", "start_m = [-1.6, 0.0, -0.5]")))
+    assert done.exit_code == 1 and "is above the water" in done.output, done.output
+
+
+def test_a_yaw_in_degrees_is_remarked(tmp_path: Path) -> None:
+    done = call("check", edited(tmp_path, "paper-tank", (r"^start_yaw_rad = .*$", "start_yaw_rad = 90.0")))
+    assert done.exit_code == 3 and "start_yaw_rad = 90 is in radians" in done.output, done.output
+
+
+@pytest.mark.parametrize("kind", ["sensor_silence", "sensor_frozen"])
+def test_a_fault_of_a_sensor_that_is_not_there_is_named(tmp_path: Path, kind: str) -> None:
+    fault = f'\n[[fault]]\nkind = "{kind}"\nat_s = 1.0\nduration_s = 1.0\nsensor = "dvl"\n'
+    file = edited(tmp_path, "paper-tank", more=fault)
+    with pytest.raises(ConfigError, match=r'`\$\.fault\[0\]\.sensor` = "dvl" .* add \[sensors\.dvl\]'):
+        load_scenario(str(file))
+    file.write_text(file.read_text(encoding="utf-8") + "\n[sensors.dvl]\n", encoding="utf-8")
+    assert load_scenario(str(file)).fault
 
 
 def test_a_fence_of_the_plans_own_is_left_out_aloud(tmp_path: Path) -> None:

@@ -89,6 +89,22 @@ def test_an_estimate_that_stays_no_number_is_a_position_lost(world: Any) -> None
     assert np.isfinite(world.run(3.0).command.thrust_n).all()
 
 
+@pytest.mark.parametrize(
+    "answer", [7, {"pos_ned_m": np.zeros(2)}, {"variance": np.zeros(3)}, {"rpy_rad": [0.0, 0.0, 0.0]}, {"health": None}]
+)
+def test_an_answer_of_another_shape_is_a_fault_of_the_estimator(world: Any, answer: Any) -> None:
+    """One tick: the last estimate stands, nothing else fails."""
+    world.service._estimation._guard.raises = False
+    last, step = world.tick().nav, world.liar.step
+    world.liar.step = lambda *given: replace(step(*given), **answer) if isinstance(answer, dict) else answer
+    outputs = world.tick()
+    assert [fault.part for fault in outputs.faults] == ["estimator"]
+    assert outputs.mode.armed and np.array_equal(outputs.nav.pos_ned_m, last.pos_ned_m)
+    world.liar.step = step
+    outputs = world.run(0.5)
+    assert outputs.mode.armed and not outputs.faults and np.isfinite(outputs.command.thrust_n).all()
+
+
 def test_evidence_is_of_now_while_the_estimate_is_no_number(world: Any) -> None:
     world.liar.lie, world.liar.doubts = ("vel_water_frd_m_s", 0, math.nan), frozenset({NavDoubt.GYRO})
     world.tick()

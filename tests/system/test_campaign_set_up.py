@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from autopilot.campaign import engines, fault_campaign
 from autopilot.campaign.definition import define
 from autopilot.campaign.engines import InProcess
-from autopilot.campaign.run_store import read_results
+from autopilot.campaign.run_store import IDENTITY, RUNS, Shard, Store, read_results, settle_identity
 from autopilot.campaign.worlds import vehicles
 from autopilot.campaign.worlds.world_store import read_flights
 from autopilot.cli.main import cli
@@ -130,6 +130,31 @@ def test_runs_of_an_edited_class_are_another_campaign(tmp_path: Path, monkeypatc
     module.write_text(OWN.format(begin="self.gain = 2.0"))
     edited = define(scenario, controller="edited_later:Still").identity
     assert first == again != edited and define(scenario).identity.own_code == {}
+
+
+def test_runs_of_an_edited_vehicle_file_are_another_campaign(tmp_path: Path) -> None:
+    scenario, identity, vehicle = short(tmp_path, "r1"), tmp_path / "campaign.json", tmp_path / "mine.toml"
+    settle_identity(identity, define(scenario).identity, RUNS)
+    settle_identity(identity, define(scenario).identity, RUNS)
+    vehicle.write_text(f"# edited\n{vehicle.read_text(encoding='utf-8')}", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"holds another campaign: files\..*mine\.toml was '.* and is now "):
+        settle_identity(identity, define(scenario).identity, RUNS)
+    noted = json.loads(identity.read_text(encoding="utf-8"))
+    del noted["files"]
+    identity.write_text(json.dumps(noted), encoding="utf-8")
+    settle_identity(identity, define(scenario).identity, RUNS)
+
+
+def test_runs_without_their_campaign_are_taken_up_by_no_other(tmp_path: Path) -> None:
+    defined, out = define(short(tmp_path, "r1")), tmp_path / "out"
+    Store(out, defined, Shard()).close()
+    kept = (out / IDENTITY).read_bytes()
+    (out / IDENTITY).unlink()
+    (out / "runs-1of2.jsonl").write_bytes(b"{}\n")
+    with pytest.raises(ConfigError, match=r"holds runs-1of2\.jsonl without campaign\.json.* copy the campaign\.json"):
+        Store(out, defined, Shard())
+    (out / IDENTITY).write_bytes(kept)
+    Store(out, defined, Shard()).close()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no pidfd")

@@ -75,6 +75,10 @@ def test_a_recorded_flight_gives_the_same_bits(
     ticks["samples"][30] += 1
     with pytest.raises(LogError, match="1 of the inputs"):
         replay(log, setup)
+    extra = int(ticks["samples"][30]) - 1
+    ticks["samples"][30] = 0
+    with pytest.raises(LogError, match=f"the tick of {extra} inputs after 0.31 s is missing"):
+        replay(log, setup)
     ticks["t_us"] += 1_000_000
     with pytest.raises(LogError, match="already running"):
         replay(log, setup)

@@ -128,6 +128,21 @@ def test_a_log_that_breaks_off_is_replayed_until_there(flown: Path, tmp_path: Pa
         assert "service.json" in str(done.exception or done.output)
 
 
+def test_only_what_was_compared_is_counted(flown: Path, tmp_path: Path) -> None:
+    log = open_log(flown)
+    log["/in/tick"]["samples"][150] -= 1
+    result = replayed(log, out=tmp_path / "again.mcap")
+    assert result.same and "the tick of 1 samples after 1.51 s is missing" in result.stopped
+    assert 0 < result.messages <= open_log(tmp_path / "again.mcap").message_count < 0.7 * log.message_count
+
+
+def test_a_cut_log_replayed_by_the_estimator_alone_is_told(flown: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flown.read_bytes()[:-100])
+    done = CliRunner().invoke(cli, ["log", "replay", str(cut), "--only", "estimator"])
+    assert done.exit_code == 3 and "cut off" in done.stderr and "replayed is what comes before" in done.stderr
+
+
 def test_logs_that_cannot_be_replayed_are_named(flown: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty.mcap"
     empty.write_bytes(b"")

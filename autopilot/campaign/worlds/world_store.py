@@ -35,7 +35,7 @@ class WorldStore(ResultStore[WorldResult]):
             folder / LINES,
             lambda flight: f"room {flight.room}",
             option="--out",
-            prepare=lambda place: settle_identity(place / IDENTITY, mine),
+            prepare=lambda place: settle_identity(place / IDENTITY, mine, LINES),
         )
 
 
