@@ -135,8 +135,12 @@ class Sequencer:
         self._check_seq(seq)
         if self._run.state is ProgressState.COMPLETE:
             self._clear(seq)
-        self._run.cursor = seq
-        self._run.entered = False
+        run = self._run
+        if run.goal is not None and run.circle is not None:
+            run.goal = replace(run.goal, drive=None)
+        run.cursor, run.circle, run.given_up_seq = seq, None, -1
+        run.entered = run.rising = run.ending = False
+        run.flown_at_jump.clear()  # a jump that the operator chooses is none of a loop
 
     @property
     def position(self) -> Position | None:
@@ -334,8 +338,8 @@ class Sequencer:
         if self._run.cursor == self._lap_marker:
             self._run.lap += 1
         done = self._run.jumps_done.get(self._run.cursor, 0)
-        if self._run.flown_at_jump.get(self._run.cursor) == self._run.flown:
-            # Nothing was flown since: further repetitions of the jump would be as empty.
+        if self._run.flown_at_jump.get(self._run.cursor) == (self._run.flown, self._run.counted):
+            # Nothing was flown or counted since: further repetitions of the jump would be as empty.
             done = 0 if step.count is None else step.count
             self._run.jumps_done[self._run.cursor] = done
             self._advance(self._run.cursor + 1)
@@ -343,9 +347,10 @@ class Sequencer:
         if step.count is not None and done >= step.count:
             self._advance(self._run.cursor + 1)
             return
-        self._run.flown_at_jump[self._run.cursor] = self._run.flown
         if step.count is not None:
             self._run.jumps_done[self._run.cursor] = done + 1
+            self._run.counted += 1
+        self._run.flown_at_jump[self._run.cursor] = self._run.flown, self._run.counted
         self._advance(step.target_seq)
 
     def _advance(self, cursor: int) -> None:

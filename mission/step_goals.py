@@ -60,8 +60,10 @@ class RunMemory:
     jumps_done: dict[int, int] = field(default_factory=dict)
     flown: int = 0
     """Steps that took time so far."""
-    flown_at_jump: dict[int, int] = field(default_factory=dict)
-    """That number when a jump (by its step) was last made."""
+    counted: int = 0
+    """Jumps with a count made so far."""
+    flown_at_jump: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Both numbers when a jump (by its step) was last made."""
     reached_seq: int = -1
     lap: int = 0
     skipped: int = 0
