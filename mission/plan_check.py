@@ -139,7 +139,7 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
         for kind, problems in (
             (PlanKind.MISSION, mission_problems(steps, broken_steps, ctx.params)),
-            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx)),
+            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, check_cancel)),
             (PlanKind.RALLY, broken_points),
         )
         for p in chain(sequence_problems(kind, plans[kind]), problems)

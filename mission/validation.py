@@ -197,12 +197,15 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 
 
 def fence_problems(
-    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext
+    shapes: Sequence[FenceShape],
+    broken: Sequence[PlanRejection],
+    ctx: PlanContext,
+    check_cancel: Callable[[], None] = lambda: None,
 ) -> Iterator[PlanRejection]:
     """Problems of a fence by itself, as parsed."""
     yield from broken
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
+    if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m, check_cancel):
         first = next(s for s in shapes if s.inclusion)
         text = (
             f"fence item {first.seq}: no room for the vehicle, which keeps {ctx.keep_m:g} m: enlarge it or remove "
@@ -285,11 +288,12 @@ def joint_problems(
     regions, region_of = None, dict[int, int]()
     if not found and route:
         keep_m = ctx.keep_m + VALIDATION.passage_m
-        regions = FreeRegions(build_fence(shapes, ctx.params), np.array([(p.north_m, p.east_m) for p in route]), keep_m)
+        points = np.array([(p.north_m, p.east_m) for p in route])
+        regions = FreeRegions(build_fence(shapes, ctx.params), points, keep_m, check_cancel)
         region_of = dict(zip((p.seq for p in route), regions.of_points, strict=True))
         found += _path_conflicts(route, regions, shapes, ctx, check_cancel)
     check_cancel()
-    points = [
+    refuges = [
         _PointToClear(
             kind=PlanKind.RALLY,
             seq=seq,
@@ -300,7 +304,7 @@ def joint_problems(
         )
         for seq, north, east in rally
     ]
-    return found + _place_conflicts(points, shapes), regions, region_of
+    return found + _place_conflicts(refuges, shapes), regions, region_of
 
 
 def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
@@ -429,7 +433,7 @@ def _bottleneck(
     def passes(gap: NarrowPassage) -> bool:
         check_cancel()
         half_m = max(0.5 * gap.width_m - VALIDATION.passage_m, 0.0)
-        one, other = FreeRegions(fence, ends, half_m).of_points
+        one, other = FreeRegions(fence, ends, half_m, check_cancel).of_points
         return one == other
 
     at = bisect_left(gaps, True, key=passes)

@@ -146,6 +146,7 @@ def test_too_many_items() -> None:
         ([*tank(), circle(4, 0, 0, 3.5)], 0, R.INVALID, "no room"),
         ([circle(0, -2, 0, 1.0, True), circle(1, 2, 0, 1.0, True)], 0, R.INVALID, "no room"),
         ([replace(circle(0, 0, 0, 1.0), z=NAN, param1=-1.0)], 0, R.INVALID_PARAM1, "radius"),
+        ([circle(0, 0, 0, 1e5, True)], 0, R.INVALID_PARAM1, "radius (param1) is 100000 m; give more than 0, up to"),
     ],
 )
 def test_bad_fences_are_refused_and_the_old_one_stays(
