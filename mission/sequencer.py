@@ -15,6 +15,7 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavState, ProgressState
+from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.items import (
     ChangeSpeed,
     GoTo,
@@ -32,6 +33,7 @@ from autopilot.mission.items import (
     Timed,
     Travel,
     Wait,
+    flown_order,
 )
 from autopilot.mission.step_goals import RunMemory, StepGoals
 from autopilot.mission.step_goals import is_inside as is_inside
@@ -179,6 +181,20 @@ class Sequencer:
     def circle_left_m(self) -> float | None:
         """Path length left of the present circle, None without one."""
         return None if self._run.circle is None else self._run.circle.left_m
+
+    @property
+    def circle(self) -> LoiterCircle | None:
+        """The present one, None without one."""
+        return self._run.circle
+
+    def first_circle(self, nav: NavState) -> LoiterCircle | None:
+        """The circle that a mission begins with that has not flown yet, None if it begins with another item."""
+        run = self._run
+        if run.goal is not None:
+            return None
+        ahead = flown_order(self._steps, MAX_INSTANT_STEPS, run.cursor, run.jumps_done.items())
+        step = next((step for step in ahead if isinstance(step, Timed)), None)
+        return self._goals.circle_of(step, nav) if isinstance(step, LoiterTurns) else None
 
     def skip(self, nav: NavState) -> None:
         """Abandon the present item and continue with the next. It does not count as reached. NAV_LAND surfaces

@@ -8,7 +8,7 @@ characters give problem and remedy (ground stations cut at 100).
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -29,6 +29,7 @@ from autopilot.mission.items import (
     Jump,
     LoiterTurns,
     Near,
+    ReturnHome,
     SetHome,
     Step,
     Surface,
@@ -268,8 +269,13 @@ def joint_problems(
     for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, check_cancel):
         places.append(ring)
         route.append(ring)
+    home: _PointToClear | None = None
     for step in steps:
-        if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
+        if isinstance(step, ReturnHome) and home is not None:
+            route.append(replace(home, seq=step.seq, name=f"item {step.seq}"))
+        elif isinstance(step, SetHome) and step.pos_ned_m is None:
+            home = None
+        elif isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
             place = _PointToClear(
                 kind=PlanKind.MISSION,
                 seq=step.seq,
@@ -279,7 +285,9 @@ def joint_problems(
                 need_m=_clearance_needed_m(step, ctx),
             )
             places.append(place)
-            if not isinstance(step, SetHome):
+            if isinstance(step, SetHome):
+                home = place
+            else:
                 route.append(place)
     route.sort(key=lambda place: place.seq)
     places.sort(key=lambda place: place.seq)

@@ -222,6 +222,15 @@ def test_a_wall_across_the_tank_leaves_no_path() -> None:
     assert open_.problem == ""
 
 
+def test_the_way_to_a_home_that_the_mission_sets_is_one_of_its_legs() -> None:
+    wall = box(4, 0.0, 0.0, 0.1, 1.6, False)
+    for home, cut_off in ((-1.2, False), (1.5, True)):
+        store = fenced([*tank(), *wall])
+        mission = (waypoint(0, -1.5, 0.0), local(1, 179, home, 0.0), plain(2, 20))
+        assert store.replace(PlanKind.MISSION, mission) is None
+        assert store.problem.startswith("no free path from item 0 to item 2: ") == cut_off
+
+
 def test_rally_points_are_checked_against_the_fence() -> None:
     store = fenced(tank())
     assert store.replace(PlanKind.RALLY, (local(0, 5100, 5.0, 0.0),)) is None

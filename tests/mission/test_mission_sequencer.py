@@ -223,6 +223,30 @@ def test_an_item_that_is_chosen_ends_the_circle_or_the_end_before_it() -> None:
     assert last.fly() == [0, 1]
 
 
+def test_a_circle_and_the_way_to_it_have_the_speed_that_was_set() -> None:
+    flight = Flight([plain(0, 178, 1, 0.12), local(1, 18, 0, 0, 0.5, (5.0, 0.0, 0.5, NAN))], CIRCLE_SPEED=0.2)
+
+    def goal() -> Goal:
+        for _ in range(6):
+            goal = flight.tick(move=False).goal
+        assert goal is not None
+        return goal
+
+    flight.sequencer.start()
+    assert (goal().speed_m_s, goal().speed_asked, goal().drive) == (0.12, True, None)
+    flight.sequencer.set_speed(0.25)
+    assert (goal().speed_m_s, goal().speed_asked, goal().drive) == (0.25, True, None)
+    flight.sequencer.set_speed(None)
+    assert (goal().speed_m_s, goal().speed_asked) == (ParamSet({})["SPD_CRUISE"], False)
+    for _ in range(100):
+        flight.tick()
+    assert goal().drive is not None and goal().speed_m_s == 0.2
+    flight.sequencer.set_speed(0.12)
+    assert goal().speed_m_s == 0.12
+    flight.sequencer.set_speed(None)
+    assert goal().speed_m_s == 0.2
+
+
 def test_an_endless_loop_goes_on_from_its_jump_when_that_is_chosen() -> None:
     flight = Flight([waypoint(0, 0, 0), waypoint(1, 1, 0), plain(2, 177, 0, -1)])
     flight.sequencer.start()
