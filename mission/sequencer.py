@@ -235,6 +235,11 @@ class Sequencer:
         """Items given up in this run."""
         return self._run.skipped
 
+    @property
+    def gave_up_end(self) -> bool:
+        """Whether the last item of this run was given up."""
+        return self._run.ending
+
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """Position (3,) of NAV_RETURN_TO_LAUNCH, at the depth of the goal before it."""
         self._goals.home_ned_m = np.array(pos_ned_m, dtype=np.float64)
@@ -289,7 +294,6 @@ class Sequencer:
     def _run_steps(self, t_us: int, nav: NavState) -> None:
         """Run steps until one needs time. At most one step that needs time ends per tick."""
         if self._run.ending:
-            self._run.ending = False
             self._run.goal = self._goals.here(nav) or self._run.goal
             self._complete(Action.HOLD)
             return

@@ -29,6 +29,7 @@ from autopilot.mission.items import (
     Jump,
     LoiterTurns,
     Near,
+    Order,
     ReturnHome,
     SetHome,
     Step,
@@ -73,6 +74,13 @@ def check_item(kind: PlanKind, item: PlanItem, origin: Origin) -> PlanRejection 
     except ItemRefusedError as error:
         return error.rejection
     return None
+
+
+def order_problem(step: Step, order_check: Callable[[Order], str]) -> PlanRejection | None:
+    """A payload item that the vehicle has nothing for; ``order_check``: why, "" if it has."""
+    why = order_check(step) if isinstance(step, Order) else ""
+    text = f"item {step.seq}: {why}"
+    return PlanRejection(seq=step.seq, result=MissionResult.UNSUPPORTED, reason=text) if why else None
 
 
 def _rally_position(item: PlanItem, origin: Origin) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from autopilot.core.messages import Goal, NavState, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.goals import Goals
-from autopilot.mission.items import ReturnHome, SetHome, Step, Timed
+from autopilot.mission.items import Passage, ReturnHome, SetHome, Step, Timed
 from autopilot.mission.mission_tuning import UPSTREAM, VALIDATION
 from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
@@ -126,15 +126,16 @@ class MissionRun:
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
-        is over with the last of them, and MAVSDK's progress waits for its number."""
+        or a gate is over with the last of them, and MAVSDK's progress waits for its number."""
         skipped = self.sequencer.skipped
         more = f", items skipped: {skipped}" if skipped else ""
         self._operator.say(notices.MISSION_COMPLETE(laps=laps, skipped=more))
         steps = self._plans.steps()
         last = len(steps) - 1
         flown = max((*reached, self.sequencer.progress(t_us).reached_seq))
-        ends_with_orders = not any(isinstance(step, Timed) for step in steps[flown + 1 :])
-        return (*reached, last) if flown < last and ends_with_orders else reached
+        rest, given_up = steps[flown + 1 :], self.sequencer.gave_up_end
+        passed = not given_up and not any(isinstance(step, Timed) and not isinstance(step, Passage) for step in rest)
+        return (*reached, last) if flown < last and passed else reached
 
     # Goals that are not reached
 

@@ -16,7 +16,7 @@ from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from tests.plan_items import plain, tank, waypoint
+from tests.plan_items import local, plain, tank, waypoint
 from tests.service.commander_bench import OK, Bench
 
 SCENARIO = """
@@ -145,6 +145,13 @@ def test_a_circle_that_a_jump_brings_to_a_place_without_room_is_given_up_at_once
         assert len(found) == (times if action == 1 else 1), bench.texts
         assert bench.commander.mode is (FlightMode.HOLD if action == 1 else FlightMode.MISSION)
     assert "of the fence, keep 0.3" in found[0]
+
+
+def test_a_last_gate_that_is_given_up_is_not_reached() -> None:
+    bench = _in_tank(waypoint(0, -1.9, 0.9), local(1, 4501, 1.0, 0.9, 0.5), WP_STUCK_TIME=10).armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    reached = [seq for _ in range(2000) for seq in bench.run().reached]
+    assert reached == [0] and "Mission complete, laps: 1, items skipped: 1" in bench.texts
 
 
 def test_a_mission_that_returns_is_not_started_with_a_home_beyond_the_fence() -> None:
