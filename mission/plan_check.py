@@ -17,7 +17,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, 
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import FenceShape, build_fence, read_fence
 from autopilot.mission.gaps import narrow_gaps
-from autopilot.mission.items import GoTo, Order, Step
+from autopilot.mission.items import GoTo, Order, Step, next_of
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.reach import FreeRegions, widest_m
@@ -115,7 +115,7 @@ class PlanVerdict:
     def path_problem(self, pos_ned_m: FloatArray, first_seq: int) -> str:
         """Why a vehicle at ``pos_ned_m`` (3,) does not get to the first place from item ``first_seq`` on, "" if it
         does."""
-        seq = min((seq for seq in self.region_of if seq >= first_seq), default=None)
+        seq = next_of(self.steps, first_seq, self.region_of)
         if self.regions is None or seq is None or self.regions.of(pos_ned_m[:2]) == self.region_of[seq]:
             return ""
         keep_m = self.question.context.keep_m

@@ -36,6 +36,7 @@ from autopilot.mission.items import (
     Surface,
     Travel,
     Wait,
+    legs,
 )
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import FreeRegions, has_free_space
@@ -307,7 +308,7 @@ def joint_problems(
         points = np.array([(p.north_m, p.east_m) for p in route])
         regions = FreeRegions(build_fence(shapes, ctx.params), points, keep_m, check_cancel)
         region_of = dict(zip((p.seq for p in route), regions.of_points, strict=True))
-        found += _path_conflicts(route, regions, shapes, ctx, check_cancel)
+        found += _path_conflicts(steps, route, regions, shapes, ctx, check_cancel)
     check_cancel()
     refuges = [
         _PointToClear(
@@ -404,17 +405,19 @@ def _place_conflict(place: _PointToClear, shape: FenceShape, clearance_m: float)
 
 
 def _path_conflicts(
+    steps: Sequence[Step],
     route: Sequence[_PointToClear],
     regions: FreeRegions,
     shapes: Sequence[FenceShape],
     ctx: PlanContext,
     check_cancel: Callable[[], None],
 ) -> Iterator[PlanProblem]:
-    """Neighbours in the order of the plan that stand in different parts of the free space; the first ones with the
-    gap that would have to be wider.
+    """Places flown one after the other that stand in different parts of the free space; the first ones with the gap
+    that would have to be wider.
     """
-    found = regions.of_points
-    apart = [(a, b) for a, b, i, j in zip(route, route[1:], found, found[1:], strict=False) if i != j]
+    part = dict(zip((place.seq for place in route), regions.of_points, strict=True))
+    place_of = {place.seq: place for place in route}
+    apart = [(place_of[a], place_of[b]) for a, b in legs(steps, part) if part[a] != part[b]]
     needed_m = 2.0 * (ctx.keep_m + VALIDATION.passage_m)
     every = narrow_gaps(shapes, needed_m, check_cancel, pockets=True) if apart else iter(())
     gaps = sorted(islice(every, VALIDATION.max_candidates), key=lambda gap: -gap.width_m)

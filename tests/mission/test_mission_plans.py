@@ -222,6 +222,21 @@ def test_a_wall_across_the_tank_leaves_no_path() -> None:
     assert open_.problem == ""
 
 
+def test_a_place_that_is_always_jumped_over_needs_no_path() -> None:
+    wall = box(4, 1.0, 0.0, 0.1, 1.6, False)
+    over, beyond = plain(1, 177, 3, -1), waypoint(2, 2.0, 0.0)
+    both = ((0, 2), (2, 3))
+    for jump, ways in ((over, ()), (replace(over, param2=1.0), both), (replace(over, param2=0.0), both)):
+        store = fenced([*tank(), *wall])
+        mission = (waypoint(0, -1.5, 0.0), jump, beyond, waypoint(3, 0.0, 0.0), plain(4, 177, 0, -1))
+        assert store.replace(PlanKind.MISSION, mission) is None
+        found = [problem.reason.partition(":")[0] for problem in store.verdict.joint]
+        assert found == [f"no free path from item {a} to item {b}" for a, b in ways]
+        here = np.array([-1.5, 0.0, 0.5])
+        assert (store.verdict.path_problem(here, 1) == "") == (jump is over)
+        assert store.verdict.path_problem(here, 2).startswith("no free path from the vehicle to item 2")
+
+
 def test_the_way_to_a_home_that_the_mission_sets_is_one_of_its_legs() -> None:
     wall = box(4, 0.0, 0.0, 0.1, 1.6, False)
     for home, cut_off in ((-1.2, False), (1.5, True)):
