@@ -36,6 +36,8 @@ class LoiterCircle:
         self._speed_m_s = 0.0
         self.go(abs(speed_m_s))
         self.depth_m = depth_m
+        self.approach_m_s: float | None = None
+        """Speed on the way to the circle, None = SPD_CRUISE."""
         self.facing_m: tuple[float, float] | None = None
         """North and east of the point that the vehicle faces instead."""
         self._seq = seq
@@ -99,17 +101,21 @@ class LoiterCircle:
         yaw = self._heading(nav, bearing)
         if abs(off_m) > CIRCLING.join_m:
             place = self._centre + self.radius_m * out
+            approach = self.approach_m_s
             joining = Goal(
                 pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
                 yaw_rad=yaw,
-                speed_m_s=self._params["SPD_CRUISE"],
+                speed_m_s=self._params["SPD_CRUISE"] if approach is None else approach,
+                speed_asked=approach is not None,
                 accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
                 accept_yaw_rad=CIRCLING.accept_yaw_rad,
                 seq=self._seq,
             )
             old = self._goal
-            near = old is not None and old.drive is None and _near(old.pos_ned_m, joining.pos_ned_m)
-            return old if near and old is not None else joining
+            if old is None or old.drive is not None or not _near(old.pos_ned_m, joining.pos_ned_m):
+                return joining
+            same = (old.speed_m_s, old.speed_asked) == (joining.speed_m_s, joining.speed_asked)
+            return old if same else replace(old, speed_m_s=joining.speed_m_s, speed_asked=joining.speed_asked)
         speed = self._speed_m_s
         pull = min(max(CIRCLING.pull_1_s * off_m, -CIRCLING.pull_fraction * speed), CIRCLING.pull_fraction * speed)
         along = math.sqrt(speed * speed - pull * pull)

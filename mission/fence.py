@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.geodesy import Origin
+from autopilot.core.geodesy import MAX_RANGE_M, Origin
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
 from autopilot.core.shapes import crossing_edges, signed_area_m2
@@ -22,6 +22,8 @@ LABEL = "fence item"
 MIN_VERTICES = 3
 MIN_AREA_M2 = 1e-3
 """A smaller polygon is a drawing error: 1e-7 degrees already are 11 mm."""
+MAX_RADIUS_M = 2.0 * MAX_RANGE_M
+"""It covers all places that a plan may have, from any of them."""
 POLYGONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_POLYGON_VERTEX_EXCLUSION})
 CIRCLES = frozenset({Command.FENCE_CIRCLE_INCLUSION, Command.FENCE_CIRCLE_EXCLUSION})
 INCLUSIONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_CIRCLE_INCLUSION})
@@ -63,9 +65,10 @@ def check_fence_item(item: PlanItem, origin: Origin) -> PlanRejection | None:
 
 def _circle(item: PlanItem, origin: Origin) -> Circle:
     radius = number(item, 1, "radius", LABEL)
-    if radius is None or radius <= 0.0:
+    if radius is None or not 0.0 < radius <= MAX_RADIUS_M:
         shown = "not given" if radius is None else f"{radius:g} m"
-        raise refuse(item, MissionResult.INVALID_PARAM1, f"radius (param1) is {shown}; give more than 0 m", LABEL)
+        text = f"radius (param1) is {shown}; give more than 0, up to {MAX_RADIUS_M:.0f} m"
+        raise refuse(item, MissionResult.INVALID_PARAM1, text, LABEL)
     return Circle(center_ned_m=np.array(horizontal_ned_m(item, origin, LABEL)), radius_m=radius)
 
 

@@ -9,6 +9,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.mission_tuning import GOALS
 from autopilot.mission.store import Plans
@@ -110,6 +111,10 @@ class Goals:
             length = f"{abs(clearance_m):.{digits(clearance_m)}f} m"
             return f"target {length} {where} the fence, keep {self._keep_m():.2f} m"
         return ""
+
+    def refuse_circle(self, circle: LoiterCircle, tolerance_m: float = 0.0) -> str:
+        """Reason why a circle cannot be flown, "" if it can."""
+        return circle.refusal(self.boundaries, self._keep_m() - tolerance_m)
 
     def may_drift(self, nav: NavState, more_m: float) -> bool:
         """Whether the vehicle is ``more_m`` further than the controller's margin from every boundary, also where

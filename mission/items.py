@@ -3,7 +3,7 @@
 :func:`autopilot.mission.item_types.parse_step` makes them from items.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
@@ -249,3 +249,33 @@ def flown_order(
         if not isinstance(step, Jump):
             yield step
         cursor += 1
+
+
+def next_of(steps: Sequence[Step], cursor: int, wanted: Container[int]) -> int | None:
+    """The first of the items ``wanted`` that is flown from ``cursor`` on, None without any. Jumps with a count are
+    not made."""
+    for _ in range(len(steps)):
+        if cursor in wanted or not 0 <= cursor < len(steps):
+            break
+        step = steps[cursor]
+        cursor = step.target_seq if isinstance(step, Jump) and step.count is None else cursor + 1
+    return cursor if cursor in wanted else None
+
+
+def legs(steps: Sequence[Step], places: Container[int]) -> list[tuple[int, int]]:
+    """Pairs of the items ``places`` that may be flown one after the other; a jump with a count is made or not."""
+    found, seen, ahead = set[tuple[int, int]](), set[tuple[int, int]](), [(0, -1)]
+    while ahead:
+        cursor, last = ahead.pop()
+        if (cursor, last) in seen or not 0 <= cursor < len(steps):
+            continue
+        seen.add((cursor, last))
+        step = steps[cursor]
+        if cursor in places:
+            found |= {(last, cursor)} if last >= 0 else set()
+            last = cursor
+        if isinstance(step, Jump) and step.count != 0:
+            ahead.append((step.target_seq, last))
+        if not (isinstance(step, ReturnHome | Surface) or (isinstance(step, Jump) and step.count is None)):
+            ahead.append((cursor + 1, last))
+    return sorted(found)

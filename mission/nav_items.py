@@ -24,7 +24,8 @@ def goto(item: PlanItem, origin: Origin) -> Step:
     """NAV_WAYPOINT: p1 hold [s], p2 acceptance radius [m] (0 = default), p3 pass-by radius, p4 yaw [deg]."""
     hold = seconds(item, "hold time")
     radius = number(item, 2, "acceptance radius") or None
-    if radius is not None and radius < NAV_ITEMS.min_accept_radius_m:
+    # In the precision of the wire: the least radius of a file arrives as less.
+    if radius is not None and np.float32(radius) < np.float32(NAV_ITEMS.min_accept_radius_m):
         advice = f"use {NAV_ITEMS.min_accept_radius_m:g} m or more, 0 for the default"
         raise wrong(item, 2, "acceptance radius", advice, " m")
     if number(item, 3, "pass-by radius"):

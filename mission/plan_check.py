@@ -1,8 +1,8 @@
 """Plan check as a pure function, run in the background because it takes a while."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from types import MappingProxyType
 from typing import Protocol
@@ -17,7 +17,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, 
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import FenceShape, build_fence, read_fence
 from autopilot.mission.gaps import narrow_gaps
-from autopilot.mission.items import GoTo, Step
+from autopilot.mission.items import GoTo, Order, Step, next_of
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.reach import FreeRegions, widest_m
@@ -27,6 +27,7 @@ from autopilot.mission.validation import (
     gap_text,
     joint_problems,
     mission_problems,
+    order_problem,
     read_mission,
     read_rally,
     sequence_problems,
@@ -114,7 +115,7 @@ class PlanVerdict:
     def path_problem(self, pos_ned_m: FloatArray, first_seq: int) -> str:
         """Why a vehicle at ``pos_ned_m`` (3,) does not get to the first place from item ``first_seq`` on, "" if it
         does."""
-        seq = min((seq for seq in self.region_of if seq >= first_seq), default=None)
+        seq = next_of(self.steps, first_seq, self.region_of)
         if self.regions is None or seq is None or self.regions.of(pos_ned_m[:2]) == self.region_of[seq]:
             return ""
         keep_m = self.question.context.keep_m
@@ -139,7 +140,7 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
         for kind, problems in (
             (PlanKind.MISSION, mission_problems(steps, broken_steps, ctx.params)),
-            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx)),
+            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, check_cancel)),
             (PlanKind.RALLY, broken_points),
         )
         for p in chain(sequence_problems(kind, plans[kind]), problems)
@@ -181,9 +182,17 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
 
 
 def judge_file(
-    plan: PlanFile, origin: Origin, params: Mapping[str, float], *, radius_m: float, goal_margin_m: float
+    plan: PlanFile,
+    origin: Origin,
+    params: Mapping[str, float],
+    *,
+    radius_m: float,
+    goal_margin_m: float,
+    order_check: Callable[[Order], str] = lambda order: "",
 ) -> PlanVerdict:
-    """All that is wrong with a plan file, each finding once."""
+    """All that is wrong with a plan file, each finding once. ``order_check``: why the vehicle has nothing that could
+    carry out an order, "" when it has.
+    """
     question = PlanCheckInputs(
         plans={kind: plan.items(kind) for kind in PlanKind},
         origin=origin,
@@ -191,4 +200,8 @@ def judge_file(
         radius_m=radius_m,
         goal_margin_m=goal_margin_m,
     )
-    return judge(question, Cancel())
+    verdict = judge(question, Cancel())
+    steps, _ = read_mission(question.plans[PlanKind.MISSION], origin)
+    orders = [order_problem(step, order_check) for step in steps]
+    lacks = [PlanProblem(kind=PlanKind.MISSION, seq=p.seq, result=p.result, reason=p.reason) for p in orders if p]
+    return replace(verdict, own=(*verdict.own, *lacks))

@@ -1,6 +1,7 @@
 """Connectivity of consecutive waypoints in the planners' free space (:mod:`autopilot.core.free_space`)."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,11 +19,17 @@ WIDEST_GRID = 24
 class FreeRegions:
     """Connected regions of the free space of a fence. Immutable, so that a verdict may be asked later."""
 
-    def __init__(self, fence: Fence, points_ned_m: FloatArray, radius_m: float) -> None:
+    def __init__(
+        self,
+        fence: Fence,
+        points_ned_m: FloatArray,
+        radius_m: float,
+        check_cancel: Callable[[], None] = lambda: None,
+    ) -> None:
         """``points_ned_m`` (n, 2): places of a mission; ``radius_m``: distance that the vehicle's centre keeps from
         every boundary.
         """
-        space = _free_space(fence, points_ned_m, radius_m)
+        space = _free_space(fence, points_ned_m, radius_m, check_cancel)
         self._space = space if space is not None and len(space.places_ned_m) else None
         self.of_points: tuple[int, ...] = (-1,) * len(points_ned_m)
         """Region that contains each point or is nearest to it; -1 when nothing is free."""
@@ -37,11 +44,11 @@ class FreeRegions:
         return -1 if near is None else int(self._region[near[0]])
 
 
-def has_free_space(fence: Fence, radius_m: float) -> bool:
+def has_free_space(fence: Fence, radius_m: float, check_cancel: Callable[[], None] = lambda: None) -> bool:
     """Whether any point in the workspace of a fence is ``radius_m`` from every boundary."""
     if widest_m(fence) >= radius_m:
         return True  # visible in the samples; a narrow part has to be searched
-    space = _free_space(fence, np.zeros((0, 2)), radius_m)
+    space = _free_space(fence, np.zeros((0, 2)), radius_m, check_cancel)
     return space is not None and len(space.places_ned_m) > 0
 
 
@@ -56,7 +63,9 @@ def widest_m(fence: Fence) -> float:
     return float(fence_clearance_m(fence, grid).max())
 
 
-def _free_space(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> FreeSpace | None:
+def _free_space(
+    fence: Fence, points_ned_m: FloatArray, radius_m: float, check_cancel: Callable[[], None]
+) -> FreeSpace | None:
     """Free space of a workspace, or in open water of a box around everything with a path around it; None without
     any.
     """
@@ -68,4 +77,4 @@ def _free_space(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> Free
         area = Area(low_m=everything.min(axis=0) - margin, high_m=everything.max(axis=0) + margin)
     if np.any(area.high_m <= area.low_m):
         return None
-    return FreeSpace(Clearance.of(fence), area, radius_m)
+    return FreeSpace(Clearance.of(fence), area, radius_m, check_cancel=check_cancel)

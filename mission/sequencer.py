@@ -15,6 +15,7 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavState, ProgressState
+from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.items import (
     ChangeSpeed,
     GoTo,
@@ -32,6 +33,7 @@ from autopilot.mission.items import (
     Timed,
     Travel,
     Wait,
+    flown_order,
 )
 from autopilot.mission.step_goals import RunMemory, StepGoals
 from autopilot.mission.step_goals import is_inside as is_inside
@@ -135,8 +137,12 @@ class Sequencer:
         self._check_seq(seq)
         if self._run.state is ProgressState.COMPLETE:
             self._clear(seq)
-        self._run.cursor = seq
-        self._run.entered = False
+        run = self._run
+        if run.goal is not None and run.circle is not None:
+            run.goal = replace(run.goal, drive=None)
+        run.cursor, run.circle, run.given_up_seq = seq, None, -1
+        run.entered = run.rising = run.ending = False
+        run.flown_at_jump.clear()  # a jump that the operator chooses is none of a loop
 
     @property
     def position(self) -> Position | None:
@@ -176,6 +182,20 @@ class Sequencer:
         """Path length left of the present circle, None without one."""
         return None if self._run.circle is None else self._run.circle.left_m
 
+    @property
+    def circle(self) -> LoiterCircle | None:
+        """The present one, None without one."""
+        return self._run.circle
+
+    def first_circle(self, nav: NavState) -> LoiterCircle | None:
+        """The circle that a mission begins with that has not flown yet, None if it begins with another item."""
+        run = self._run
+        if run.goal is not None:
+            return None
+        ahead = flown_order(self._steps, MAX_INSTANT_STEPS, run.cursor, run.jumps_done.items())
+        step = next((step for step in ahead if isinstance(step, Timed)), None)
+        return self._goals.circle_of(step, nav) if isinstance(step, LoiterTurns) else None
+
     def skip(self, nav: NavState) -> None:
         """Abandon the present item and continue with the next. It does not count as reached. NAV_LAND surfaces
         where the vehicle is; a mission that ends with the item is complete on the next tick.
@@ -214,6 +234,11 @@ class Sequencer:
     def skipped(self) -> int:
         """Items given up in this run."""
         return self._run.skipped
+
+    @property
+    def gave_up_end(self) -> bool:
+        """Whether the last item of this run was given up."""
+        return self._run.ending
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """Position (3,) of NAV_RETURN_TO_LAUNCH, at the depth of the goal before it."""
@@ -269,7 +294,6 @@ class Sequencer:
     def _run_steps(self, t_us: int, nav: NavState) -> None:
         """Run steps until one needs time. At most one step that needs time ends per tick."""
         if self._run.ending:
-            self._run.ending = False
             self._run.goal = self._goals.here(nav) or self._run.goal
             self._complete(Action.HOLD)
             return
@@ -334,8 +358,8 @@ class Sequencer:
         if self._run.cursor == self._lap_marker:
             self._run.lap += 1
         done = self._run.jumps_done.get(self._run.cursor, 0)
-        if self._run.flown_at_jump.get(self._run.cursor) == self._run.flown:
-            # Nothing was flown since: further repetitions of the jump would be as empty.
+        if self._run.flown_at_jump.get(self._run.cursor) == (self._run.flown, self._run.counted):
+            # Nothing was flown or counted since: further repetitions of the jump would be as empty.
             done = 0 if step.count is None else step.count
             self._run.jumps_done[self._run.cursor] = done
             self._advance(self._run.cursor + 1)
@@ -343,9 +367,10 @@ class Sequencer:
         if step.count is not None and done >= step.count:
             self._advance(self._run.cursor + 1)
             return
-        self._run.flown_at_jump[self._run.cursor] = self._run.flown
         if step.count is not None:
             self._run.jumps_done[self._run.cursor] = done + 1
+            self._run.counted += 1
+        self._run.flown_at_jump[self._run.cursor] = self._run.flown, self._run.counted
         self._advance(step.target_seq)
 
     def _advance(self, cursor: int) -> None:

@@ -60,8 +60,10 @@ class RunMemory:
     jumps_done: dict[int, int] = field(default_factory=dict)
     flown: int = 0
     """Steps that took time so far."""
-    flown_at_jump: dict[int, int] = field(default_factory=dict)
-    """That number when a jump (by its step) was last made."""
+    counted: int = 0
+    """Jumps with a count made so far."""
+    flown_at_jump: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Both numbers when a jump (by its step) was last made."""
     reached_seq: int = -1
     lap: int = 0
     skipped: int = 0
@@ -83,7 +85,8 @@ class StepGoals:
         """The goal that a step begins with, None while that is unknown."""
         run = self.run
         if isinstance(step, LoiterTurns):
-            return self._begin_circle(step, nav)
+            run.circle = self.circle_of(step, nav)
+            return None if run.circle is None else self.round(run.circle, nav)
         if isinstance(step, Passage):
             return self._goal_beyond(step, nav)
         target = self._target_ned_m(step, nav)
@@ -91,17 +94,16 @@ class StepGoals:
             return None if target is None else run.goal
         return self._leading_on(self.of(step, target), run.cursor)
 
-    def _begin_circle(self, step: LoiterTurns, nav: NavState) -> Goal | None:
-        """Around its centre, or around the mission's present position."""
+    def circle_of(self, step: LoiterTurns, nav: NavState) -> LoiterCircle | None:
+        """Around its centre, or around the mission's present position; None while that is unknown."""
         run = self.run
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if run.goal is None else run.goal.pos_ned_m
         centre = last if step.centre_ned_m is None else step.centre_ned_m
         if centre is None or here is None:
             return None
-        params, commanded = self._params, run.speed_m_s
-        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if commanded is None else commanded
-        run.circle = LoiterCircle(
+        params, speed = self._params, self._circle_speed_m_s
+        circle = LoiterCircle(
             params,
             (float(centre[0]), float(centre[1])),
             params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m,
@@ -110,7 +112,8 @@ class StepGoals:
             turns=step.turns,
             seq=step.seq,
         )
-        return self.round(run.circle, nav)
+        circle.approach_m_s = run.speed_m_s
+        return circle
 
     def round(self, circle: LoiterCircle, nav: NavState) -> Goal:
         """The circle's goal of this tick."""
@@ -207,6 +210,12 @@ class StepGoals:
         commanded = self.run.speed_m_s
         return self._params["SPD_CRUISE"] if commanded is None else commanded
 
+    @property
+    def _circle_speed_m_s(self) -> float:
+        """The same on a circle."""
+        commanded = self.run.speed_m_s
+        return (abs(self._params["CIRCLE_SPEED"]) or self._params["SPD_CRUISE"]) if commanded is None else commanded
+
     def _leading_on(self, goal: Goal, cursor: int) -> Goal:
         """The goal of a step with those that follow it without a stop."""
         ahead: list[Goal] = []
@@ -232,8 +241,9 @@ class StepGoals:
 
     def refresh(self) -> None:
         """The running goal with a new speed."""
-        if self.run.circle is not None and self.run.speed_m_s is not None:
-            self.run.circle.go(self.run.speed_m_s)
+        if self.run.circle is not None:
+            self.run.circle.go(self._circle_speed_m_s)
+            self.run.circle.approach_m_s = self.run.speed_m_s
         elif self.run.goal is not None:
             commanded = self.run.speed_m_s is not None
             self.run.goal = replace(self.run.goal, speed_m_s=self._speed_m_s, speed_asked=commanded)

@@ -36,7 +36,7 @@ from autopilot.mission.plan_check import (
     judge,
 )
 from autopilot.mission.plan_model import PlanFile
-from autopilot.mission.validation import check_item
+from autopilot.mission.validation import check_item, order_problem
 
 __all__ = ["Change", "CurrentCheck", "Plans", "load_plan", "plan_checksum"]
 
@@ -227,12 +227,7 @@ class Plans(PlanStore):
         rejection = check_item(kind, item, self._origin)
         if rejection is not None or kind is not PlanKind.MISSION:
             return rejection
-        step = parse_step(item, self._origin)
-        why = self.order_check(step) if isinstance(step, Order) else ""
-        if not why:
-            return None
-        reason = f"item {item.seq}: {why}"
-        return PlanRejection(seq=item.seq, result=MissionResult.UNSUPPORTED, reason=reason)
+        return order_problem(parse_step(item, self._origin), self.order_check)
 
     def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> Change:
         """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""

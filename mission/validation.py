@@ -8,7 +8,7 @@ characters give problem and remedy (ground stations cut at 100).
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -29,11 +29,14 @@ from autopilot.mission.items import (
     Jump,
     LoiterTurns,
     Near,
+    Order,
+    ReturnHome,
     SetHome,
     Step,
     Surface,
     Travel,
     Wait,
+    legs,
 )
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import FreeRegions, has_free_space
@@ -72,6 +75,13 @@ def check_item(kind: PlanKind, item: PlanItem, origin: Origin) -> PlanRejection 
     except ItemRefusedError as error:
         return error.rejection
     return None
+
+
+def order_problem(step: Step, order_check: Callable[[Order], str]) -> PlanRejection | None:
+    """A payload item that the vehicle has nothing for; ``order_check``: why, "" if it has."""
+    why = order_check(step) if isinstance(step, Order) else ""
+    text = f"item {step.seq}: {why}"
+    return PlanRejection(seq=step.seq, result=MissionResult.UNSUPPORTED, reason=text) if why else None
 
 
 def _rally_position(item: PlanItem, origin: Origin) -> tuple[float, float]:
@@ -197,12 +207,15 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 
 
 def fence_problems(
-    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext
+    shapes: Sequence[FenceShape],
+    broken: Sequence[PlanRejection],
+    ctx: PlanContext,
+    check_cancel: Callable[[], None] = lambda: None,
 ) -> Iterator[PlanRejection]:
     """Problems of a fence by itself, as parsed."""
     yield from broken
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
+    if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m, check_cancel):
         first = next(s for s in shapes if s.inclusion)
         text = (
             f"fence item {first.seq}: no room for the vehicle, which keeps {ctx.keep_m:g} m: enlarge it or remove "
@@ -265,8 +278,13 @@ def joint_problems(
     for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, check_cancel):
         places.append(ring)
         route.append(ring)
+    home: _PointToClear | None = None
     for step in steps:
-        if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
+        if isinstance(step, ReturnHome) and home is not None:
+            route.append(replace(home, seq=step.seq, name=f"item {step.seq}"))
+        elif isinstance(step, SetHome) and step.pos_ned_m is None:
+            home = None
+        elif isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
             place = _PointToClear(
                 kind=PlanKind.MISSION,
                 seq=step.seq,
@@ -276,7 +294,9 @@ def joint_problems(
                 need_m=_clearance_needed_m(step, ctx),
             )
             places.append(place)
-            if not isinstance(step, SetHome):
+            if isinstance(step, SetHome):
+                home = place
+            else:
                 route.append(place)
     route.sort(key=lambda place: place.seq)
     places.sort(key=lambda place: place.seq)
@@ -285,11 +305,12 @@ def joint_problems(
     regions, region_of = None, dict[int, int]()
     if not found and route:
         keep_m = ctx.keep_m + VALIDATION.passage_m
-        regions = FreeRegions(build_fence(shapes, ctx.params), np.array([(p.north_m, p.east_m) for p in route]), keep_m)
+        points = np.array([(p.north_m, p.east_m) for p in route])
+        regions = FreeRegions(build_fence(shapes, ctx.params), points, keep_m, check_cancel)
         region_of = dict(zip((p.seq for p in route), regions.of_points, strict=True))
-        found += _path_conflicts(route, regions, shapes, ctx, check_cancel)
+        found += _path_conflicts(steps, route, regions, shapes, ctx, check_cancel)
     check_cancel()
-    points = [
+    refuges = [
         _PointToClear(
             kind=PlanKind.RALLY,
             seq=seq,
@@ -300,7 +321,7 @@ def joint_problems(
         )
         for seq, north, east in rally
     ]
-    return found + _place_conflicts(points, shapes), regions, region_of
+    return found + _place_conflicts(refuges, shapes), regions, region_of
 
 
 def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
@@ -384,17 +405,19 @@ def _place_conflict(place: _PointToClear, shape: FenceShape, clearance_m: float)
 
 
 def _path_conflicts(
+    steps: Sequence[Step],
     route: Sequence[_PointToClear],
     regions: FreeRegions,
     shapes: Sequence[FenceShape],
     ctx: PlanContext,
     check_cancel: Callable[[], None],
 ) -> Iterator[PlanProblem]:
-    """Neighbours in the order of the plan that stand in different parts of the free space; the first ones with the
-    gap that would have to be wider.
+    """Places flown one after the other that stand in different parts of the free space; the first ones with the gap
+    that would have to be wider.
     """
-    found = regions.of_points
-    apart = [(a, b) for a, b, i, j in zip(route, route[1:], found, found[1:], strict=False) if i != j]
+    part = dict(zip((place.seq for place in route), regions.of_points, strict=True))
+    place_of = {place.seq: place for place in route}
+    apart = [(place_of[a], place_of[b]) for a, b in legs(steps, part) if part[a] != part[b]]
     needed_m = 2.0 * (ctx.keep_m + VALIDATION.passage_m)
     every = narrow_gaps(shapes, needed_m, check_cancel, pockets=True) if apart else iter(())
     gaps = sorted(islice(every, VALIDATION.max_candidates), key=lambda gap: -gap.width_m)
@@ -429,7 +452,7 @@ def _bottleneck(
     def passes(gap: NarrowPassage) -> bool:
         check_cancel()
         half_m = max(0.5 * gap.width_m - VALIDATION.passage_m, 0.0)
-        one, other = FreeRegions(fence, ends, half_m).of_points
+        one, other = FreeRegions(fence, ends, half_m, check_cancel).of_points
         return one == other
 
     at = bisect_left(gaps, True, key=passes)

@@ -2,7 +2,8 @@
 
 Format: MAVLink developer guide, "File formats": ``seq current frame command p1 p2 p3 p4 x y z autocontinue``, tabs.
 Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It
-is home if no other position is in frame 0, and keeps its number: items are numbered as in the file.
+is home if no other position is in frame 0 and it is not in the water (by the defaults of a vehicle's parameters), and
+keeps its number: items are numbered as in the file.
 """
 
 import math
@@ -10,7 +11,8 @@ from dataclasses import replace
 
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin
-from autopilot.core.plan import PlanItem, begins_with_home
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanItem, begins_with_home, in_water
 from autopilot.mission.plan_model import PlanFile, make_item
 
 HEADER = "QGC WPL 110"
@@ -46,7 +48,8 @@ def read_waypoints(text: str, name: str) -> PlanFile:
     for where, values in rows:
         items.append(make_item(where, len(items), int(values[2]), int(values[3]), values[4:11], values[11] != 0.0))
     home = None
-    if begins_with_home(items):
+    params = ParamSet()
+    if begins_with_home(items) and not in_water(items[0], params["ORIGIN_ALT"], params):
         home = _home(*rows[0])
         items[0] = replace(items[0], is_home=True)
     return PlanFile(mission=tuple(items), home=home)

@@ -69,7 +69,8 @@ class Commander:
         self._plans = plans
         self._operator = Announcements()
         self._goals = Goals(vehicle, params, plans)
-        self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
+        speed_m_s = speed_m_s or (lambda _: params["SPD_PLANAR_MAX"])
+        self._mission = MissionRun(params, plans, self._goals, self._operator, speed_m_s)
         self._failsafe_inputs = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
         self._failsafe_inputs.has_markers = has_markers
         self._failsafes = FailsafeRules(params, self._failsafe_inputs)

@@ -13,8 +13,10 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState
 from autopilot.core.params import ParamSet
-from autopilot.mission.items import Step, Timed
-from autopilot.mission.mission_tuning import UPSTREAM
+from autopilot.mission.circling import LoiterCircle
+from autopilot.mission.goals import Goals
+from autopilot.mission.items import Passage, ReturnHome, SetHome, Step, Timed
+from autopilot.mission.mission_tuning import UPSTREAM, VALIDATION
 from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
 from autopilot.mission.store import Plans
@@ -35,11 +37,17 @@ class MissionRun:
     """Steps through the plan in force."""
 
     def __init__(
-        self, params: ParamSet, plans: Plans, operator: Announcements, speed_m_s: Callable[[NavState], float]
+        self,
+        params: ParamSet,
+        plans: Plans,
+        goals: Goals,
+        operator: Announcements,
+        speed_m_s: Callable[[NavState], float],
     ) -> None:
         """``speed_m_s``: planar speed left by the controller's margins."""
         self._params = params
         self._plans = plans
+        self._goals = goals
         self._operator = operator
         self._speed_m_s = speed_m_s
         self._steps: tuple[Step, ...] = ()
@@ -47,6 +55,8 @@ class MissionRun:
         """By WP_STUCK_TIME, and by the shorter patience with a goal that the current puts out of reach."""
         self._path_judged: tuple[PlanVerdict, int, tuple[float, float], str] | None = None
         """By which plans, from which item and place, the path to the next place was judged; and what was found."""
+        self._circle: LoiterCircle | None = None
+        """The circle that was judged last."""
         self._given_up = False
         """The present goal has been reported as unreachable."""
         self._reported_upstream: set[tuple[int, bool]] = set()
@@ -116,31 +126,40 @@ class MissionRun:
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
-        is over with the last of them, and MAVSDK's progress waits for its number."""
+        or a gate is over with the last of them, and MAVSDK's progress waits for its number."""
         skipped = self.sequencer.skipped
         more = f", items skipped: {skipped}" if skipped else ""
         self._operator.say(notices.MISSION_COMPLETE(laps=laps, skipped=more))
         steps = self._plans.steps()
         last = len(steps) - 1
         flown = max((*reached, self.sequencer.progress(t_us).reached_seq))
-        ends_with_orders = not any(isinstance(step, Timed) for step in steps[flown + 1 :])
-        return (*reached, last) if flown < last and ends_with_orders else reached
+        rest, given_up = steps[flown + 1 :], self.sequencer.gave_up_end
+        passed = not given_up and not any(isinstance(step, Timed) and not isinstance(step, Passage) for step in rest)
+        return (*reached, last) if flown < last and passed else reached
 
     # Goals that are not reached
 
     def path_problem(self, nav: NavState) -> str:
-        """Why there is no path from the vehicle to the next place of the mission, "" if there is one."""
+        """Why there is no path from the vehicle to the next place of the mission, or no room for its circle there; ""
+        if there is."""
         verdict, position = self._plans.verdict, self.sequencer.position
         first_seq, known = 0 if position is None else position.cursor, self._path_judged
         moved_m = math.inf if known is None else math.dist(known[2], nav.pos_ned_m[:2])
         if known is None or known[:2] != (verdict, first_seq) or moved_m > MISSION_RUN.path_moved_m:
             place = (float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1]))
             self._path_judged = known = verdict, first_seq, place, verdict.path_problem(nav.pos_ned_m, first_seq)
-        return known[3]
+        return known[3] or self._circle_problem(self.sequencer.first_circle(nav))
+
+    def _circle_problem(self, circle: LoiterCircle | None) -> str:
+        """Why a circle cannot be flown, "" if it can (or there is none)."""
+        return "" if circle is None else self._goals.refuse_circle(circle, VALIDATION.place_tolerance_m)
 
     def refusal(self, nav: NavState | None) -> str:
-        """Why it must not be started: no path to the next place, or WP_STUCK_ACT in the current of now."""
-        reason = "" if nav is None else self.path_problem(nav)
+        """Why it must not be started: no path to the next place or home, or WP_STUCK_ACT in the current of now."""
+        reason, position = "" if nav is None else self.path_problem(nav), self.sequencer.position
+        ahead = self._plans.steps()[0 if position is None else position.cursor :]
+        if isinstance(next((step for step in ahead if isinstance(step, SetHome | ReturnHome)), None), ReturnHome):
+            reason = reason or self._goals.refuse_home()
         if reason:
             return reason
         if int(self._params["WP_STUCK_ACT"]) != StuckAction.REFUSE:
@@ -158,6 +177,14 @@ class MissionRun:
         """Detect a goal that the vehicle does not approach; WP_STUCK_ACT gives the action. ``flies``: a mission item,
         else home. True when the vehicle is to hold.
         """
+        circle = self.sequencer.circle if flies else None
+        if circle is not self._circle:
+            why = self._circle_problem(circle)
+            if why:
+                holds = self._give_up(goal, nav, flies, why)
+                self._circle = None if holds else circle
+                return holds
+            self._circle = circle
         t_us, patience_s, least_m_s = status.t_us, self._params["WP_STUCK_TIME"], self._params["SPD_GROUND_MIN"]
         short_s = min(patience_s, MISSION_RUN.shortfall_s)
         path_left_m = self.sequencer.circle_left_m if flies else None
@@ -173,12 +200,12 @@ class MissionRun:
         if self._given_up:
             return False
         self._given_up = True
-        return self._give_up(status, goal, nav, flies)
-
-    def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
-        """Report it and act; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
         why = "no free way" if status.unreachable else status.shortfall or f"current {current:.2f} m/s"
+        return self._give_up(goal, nav, flies, why)
+
+    def _give_up(self, goal: Goal, nav: NavState, flies: bool, why: str) -> bool:
+        """Report it and act; True when the vehicle is to hold."""
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"

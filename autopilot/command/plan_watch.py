@@ -7,7 +7,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
+from autopilot.core.plan import MissionResult, PlanKind, PlanRejection, has_shapes
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.goals import Goals
@@ -74,12 +74,14 @@ class FenceGuard:
         same = plan_checksum(fence) == self._plans.checksum(PlanKind.FENCE)
         if self._params["FENCE_ARMED_CHG"] or PlanKind.FENCE not in kinds or same:
             return None
-        if not fence:
+        if has_shapes(self._plans.items(PlanKind.FENCE)) and not has_shapes(fence):
             reason = "disarm before the fence is removed"
         elif verdict.joint:
             reason = f"the vehicle is armed and {verdict.joint[0].reason}"
         else:
             reason = self._lack(Clearance([(s.shape, s.inclusion) for s in verdict.shapes]), nav, goal)
+            if not reason and PlanKind.MISSION not in kinds and nav is not None and goal is not None and goal.seq >= 0:
+                reason = verdict.path_problem(nav.pos_ned_m, goal.seq)
         if not reason:
             return None
         return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")

@@ -8,6 +8,7 @@ stay coarse.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -30,6 +31,9 @@ TIGHT_M = 0.02
 
 MAX_CELLS = 40_000
 """Largest number of cells; the rest stays coarse."""
+
+MAX_DOUBTFUL = 40_000
+"""Cells of one size that are searched for a place in their parts; of more the rest counts as not free."""
 
 MAX_ROUNDS = 24
 
@@ -88,8 +92,17 @@ def workspace_of(fence: Fence) -> Area | None:
 class FreeSpace:
     """Places that keep ``radius_m`` from every boundary, and the straight lines between them that do."""
 
-    def __init__(self, ground: FenceDistances, area: Area, radius_m: float, *, long_moves: float = 0.0) -> None:
-        """``long_moves``: the longest move over the grid, in cells, that :meth:`moves` will be asked for."""
+    def __init__(
+        self,
+        ground: FenceDistances,
+        area: Area,
+        radius_m: float,
+        *,
+        long_moves: float = 0.0,
+        check_cancel: Callable[[], None] = lambda: None,
+    ) -> None:
+        """``long_moves``: the longest move over the grid, in cells, that :meth:`moves` will be asked for;
+        ``check_cancel`` is called between the steps (it may raise, to end the work)."""
         self._ground, self.radius_m = ground, radius_m
         size = np.maximum(area.high_m - area.low_m, 1e-3)
         self.base_cell_m = max(FINEST_BASE_M, math.sqrt(float(size[0] * size[1]) / BASE_CELLS))
@@ -100,7 +113,7 @@ class FreeSpace:
         self._cells = _Cells.none()
         self._pairs = np.zeros((0, 2), dtype=np.intp)
         self._clear = np.zeros(0, dtype=bool)
-        self._build()
+        self._build(check_cancel)
         self._number()
 
     # What there is.
@@ -213,9 +226,9 @@ class FreeSpace:
 
     # How it is found.
 
-    def _build(self) -> None:
+    def _build(self, check_cancel: Callable[[], None]) -> None:
         row, column = (a.ravel() for a in np.indices(self._shape))
-        fresh = self._settle(np.zeros(len(row), dtype=np.intp), row, column, self._deepest)
+        fresh = self._settle(np.zeros(len(row), dtype=np.intp), row, column, check_cancel)
         self._cells = fresh
         touched = np.flatnonzero(fresh.alive)
         for _ in range(MAX_ROUNDS):
@@ -224,20 +237,21 @@ class FreeSpace:
             free_cells = (MAX_CELLS - int(self._cells.alive.sum())) // 3
             if not len(split) or free_cells <= 0:
                 break
-            touched = self._halve(split[:free_cells])
+            touched = self._halve(split[:free_cells], check_cancel)
 
     def _centers(self, level: IntArray, row: IntArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
         """Middles (n, 2) and sizes (n,) of cells."""
         size: FloatArray = np.ldexp(self.base_cell_m, -level)
         return self._low + size[:, None] * (np.stack([row, column], axis=1) + 0.5), size
 
-    def _settle(self, level: IntArray, row: IntArray, column: IntArray, deepest: int) -> "_Cells":
+    def _settle(self, level: IntArray, row: IntArray, column: IntArray, check_cancel: Callable[[], None]) -> "_Cells":
         """The cells that are free somewhere; those of which that is not sure are halved."""
         found = []
         while len(level):
+            check_cancel()
             cells, doubtful = self._classify(level, row, column)
             found.append(cells)
-            again = doubtful & (level < deepest)
+            again = np.flatnonzero(doubtful & (level < self._deepest))[:MAX_DOUBTFUL]
             level, row, column = _quarters(level[again], row[again], column[again])
         return _Cells.joined(found)
 
@@ -370,7 +384,7 @@ class FreeSpace:
         chosen = np.unique(np.concatenate([barred[low <= high, 0], barred[high <= low, 1]]))
         return chosen[np.argsort(level[chosen], kind="stable")]
 
-    def _halve(self, split: IntArray) -> IntArray:
+    def _halve(self, split: IntArray, check_cancel: Callable[[], None]) -> IntArray:
         """Replace cells by their quarters; the cells whose neighbours are other ones now."""
         cells = self._cells
         removed = np.zeros(len(cells.alive), dtype=bool)
@@ -380,7 +394,7 @@ class FreeSpace:
         self._pairs, self._clear = self._pairs[~beside], self._clear[~beside]
         cells.alive[split] = False
         self._fresh = len(cells.alive)
-        fresh = self._settle(*_quarters(cells.level[split], cells.row[split], cells.column[split]), self._deepest)
+        fresh = self._settle(*_quarters(cells.level[split], cells.row[split], cells.column[split]), check_cancel)
         self._cells = _Cells.joined([cells, fresh])
         around = around[self._cells.alive[around]]
         return np.concatenate([around, np.arange(self._fresh, len(self._cells.alive))])

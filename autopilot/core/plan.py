@@ -100,6 +100,11 @@ def begins_with_home(items: Sequence[PlanItem]) -> bool:
     return frames == {False}
 
 
+def in_water(item: PlanItem, surface_alt_m: float, params: Mapping[str, float]) -> bool:
+    """Whether an item that may be home is within the vehicle's range of depths, which makes it a waypoint."""
+    return params["DEPTH_MIN"] <= surface_alt_m - item.z <= params["DEPTH_MAX"]
+
+
 def has_shapes(fence: Sequence[PlanItem]) -> bool:
     """Whether a fence plan keeps the vehicle in or out of anything."""
     return any(item.command != _FENCE_RETURN_POINT for item in fence)

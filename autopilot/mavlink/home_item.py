@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.plan import PlanItem, PlanKind, begins_with_home, may_be_home
+from autopilot.core.plan import PlanItem, PlanKind, begins_with_home, in_water, may_be_home
 from autopilot.mavlink.context import Context, i32
 
 
@@ -23,7 +23,7 @@ def may_be(ctx: Context, kind: PlanKind, item: PlanItem) -> bool:
     """Whether an item of an upload is, or could turn out to be, home."""
     if kind is not PlanKind.MISSION or item.seq != 0:
         return False
-    return ctx.profile.home_is_item_0 or (may_be_home(item) and not _in_water(ctx, item))
+    return ctx.profile.home_is_item_0 or (may_be_home(item) and not in_water(item, ctx.view.origin.alt_m, ctx.params))
 
 
 def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[PlanItem, ...]:
@@ -33,12 +33,6 @@ def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[P
     if not ctx.profile.home_is_item_0 and not begins_with_home(items):
         return tuple(items)
     return () if len(items) == 1 else (replace(items[0], is_home=True), *items[1:])
-
-
-def _in_water(ctx: Context, item: PlanItem) -> bool:
-    """Whether the item's altitude is within the vehicle's range, which makes it a waypoint."""
-    depth_m = ctx.view.origin.alt_m - item.z
-    return bool(ctx.params["DEPTH_MIN"] <= depth_m <= ctx.params["DEPTH_MAX"])
 
 
 def wire_plan(ctx: Context, kind: PlanKind) -> tuple[PlanItem, ...]:

@@ -217,6 +217,8 @@ def test_waypoints_file_with_and_without_home() -> None:
     assert without.home is None
     unset = read_waypoints(_wpl((*home[:8], 0, 0, 0), a), "x.waypoints")
     assert (len(without_home(unset.mission)), unset.home) == (1, None)
+    in_water = read_waypoints(_wpl((*home[:10], -0.5), a), "x.waypoints")
+    assert ([item.is_home for item in in_water.mission], in_water.home) == ([False, False], None)
 
 
 @pytest.mark.parametrize(

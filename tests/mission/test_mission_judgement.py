@@ -89,6 +89,9 @@ HOSTILE: dict[str, Callable[[], PlanCheckInputs]] = {
         [], [item for k in range(250) for item in box(4 * k, 0, 0, 1, 1, False)], []
     ),
     "rings": lambda: question([], [circle(k, 0.0, 0.0, 0.5 * (k + 1)) for k in range(500)], []),
+    "a ring of no width": lambda: question(
+        [waypoint(0, 3000.0, 0.0)], [circle(0, 0.0, 0.0, 2e4, True), circle(1, 0.0, 0.0, 2e4)], []
+    ),
     "a polygon of a thousand corners": lambda: question(
         [waypoint(0, 0, 0)] * 20, polygon(0, [(a * (1 + k / 5000), b) for k, (a, b) in enumerate(STAR[:250])], True), []
     ),

@@ -146,6 +146,7 @@ def test_too_many_items() -> None:
         ([*tank(), circle(4, 0, 0, 3.5)], 0, R.INVALID, "no room"),
         ([circle(0, -2, 0, 1.0, True), circle(1, 2, 0, 1.0, True)], 0, R.INVALID, "no room"),
         ([replace(circle(0, 0, 0, 1.0), z=NAN, param1=-1.0)], 0, R.INVALID_PARAM1, "radius"),
+        ([circle(0, 0, 0, 1e5, True)], 0, R.INVALID_PARAM1, "radius (param1) is 100000 m; give more than 0, up to"),
     ],
 )
 def test_bad_fences_are_refused_and_the_old_one_stays(
@@ -219,6 +220,30 @@ def test_a_wall_across_the_tank_leaves_no_path() -> None:
     open_ = fenced([*tank(), *door])
     assert open_.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, 1.5, 0))) is None
     assert open_.problem == ""
+
+
+def test_a_place_that_is_always_jumped_over_needs_no_path() -> None:
+    wall = box(4, 1.0, 0.0, 0.1, 1.6, False)
+    over, beyond = plain(1, 177, 3, -1), waypoint(2, 2.0, 0.0)
+    both = ((0, 2), (2, 3))
+    for jump, ways in ((over, ()), (replace(over, param2=1.0), both), (replace(over, param2=0.0), both)):
+        store = fenced([*tank(), *wall])
+        mission = (waypoint(0, -1.5, 0.0), jump, beyond, waypoint(3, 0.0, 0.0), plain(4, 177, 0, -1))
+        assert store.replace(PlanKind.MISSION, mission) is None
+        found = [problem.reason.partition(":")[0] for problem in store.verdict.joint]
+        assert found == [f"no free path from item {a} to item {b}" for a, b in ways]
+        here = np.array([-1.5, 0.0, 0.5])
+        assert (store.verdict.path_problem(here, 1) == "") == (jump is over)
+        assert store.verdict.path_problem(here, 2).startswith("no free path from the vehicle to item 2")
+
+
+def test_the_way_to_a_home_that_the_mission_sets_is_one_of_its_legs() -> None:
+    wall = box(4, 0.0, 0.0, 0.1, 1.6, False)
+    for home, cut_off in ((-1.2, False), (1.5, True)):
+        store = fenced([*tank(), *wall])
+        mission = (waypoint(0, -1.5, 0.0), local(1, 179, home, 0.0), plain(2, 20))
+        assert store.replace(PlanKind.MISSION, mission) is None
+        assert store.problem.startswith("no free path from item 0 to item 2: ") == cut_off
 
 
 def test_rally_points_are_checked_against_the_fence() -> None:

@@ -201,6 +201,72 @@ def test_set_current_jumps_at_once_and_refuses_what_is_not_there() -> None:
     assert flight.fly() == [1, 2]
 
 
+def test_an_item_that_is_chosen_ends_the_circle_or_the_end_before_it() -> None:
+    flight = Flight([waypoint(0, 1, 1), local(1, 18, 0, 0, 0.5, (5.0, 0.0, 0.5, NAN)), plain(2, 93, 1.0)])
+    sequencer = flight.sequencer
+    for seq in (0, 2):
+        sequencer.start(1)
+        for _ in range(100):
+            flight.tick()
+        assert sequencer.circle_left_m is not None
+        sequencer.set_current(seq)
+        goal = flight.tick(move=False).goal
+        assert goal is not None and goal.drive is None and sequencer.circle_left_m is None
+        sequencer.set_speed(0.11)
+        goal = flight.tick(move=False).goal
+        assert goal is not None and goal.speed_m_s == 0.11
+    last = Flight([waypoint(0, 1, 1), waypoint(1, 0, 0)])
+    last.sequencer.start(1)
+    last.tick()
+    last.sequencer.skip(nav(*last.pos))
+    last.sequencer.set_current(0)
+    assert last.fly() == [0, 1]
+
+
+def test_a_circle_and_the_way_to_it_have_the_speed_that_was_set() -> None:
+    flight = Flight([plain(0, 178, 1, 0.12), local(1, 18, 0, 0, 0.5, (5.0, 0.0, 0.5, NAN))], CIRCLE_SPEED=0.2)
+
+    def goal() -> Goal:
+        for _ in range(6):
+            goal = flight.tick(move=False).goal
+        assert goal is not None
+        return goal
+
+    flight.sequencer.start()
+    assert (goal().speed_m_s, goal().speed_asked, goal().drive) == (0.12, True, None)
+    flight.sequencer.set_speed(0.25)
+    assert (goal().speed_m_s, goal().speed_asked, goal().drive) == (0.25, True, None)
+    flight.sequencer.set_speed(None)
+    assert (goal().speed_m_s, goal().speed_asked) == (ParamSet({})["SPD_CRUISE"], False)
+    for _ in range(100):
+        flight.tick()
+    assert goal().drive is not None and goal().speed_m_s == 0.2
+    flight.sequencer.set_speed(0.12)
+    assert goal().speed_m_s == 0.12
+    flight.sequencer.set_speed(None)
+    assert goal().speed_m_s == 0.2
+
+
+def test_an_endless_loop_goes_on_from_its_jump_when_that_is_chosen() -> None:
+    flight = Flight([waypoint(0, 0, 0), waypoint(1, 1, 0), plain(2, 177, 0, -1)])
+    flight.sequencer.start()
+    flight.fly(60)
+    assert flight.reached[:3] == [0, 1, 0]
+    flight.sequencer.set_current(2)
+    flight.tick()
+    flight.sequencer.set_current(2)
+    flight.outputs.clear()
+    flight.fly(100)
+    assert flight.last.progress.state is S.ACTIVE and flight.reached[:2] == [0, 1]
+
+
+def test_jumps_that_lead_to_jumps_are_counted_as_written() -> None:
+    jumps = [plain(2, 177, 4, 3), plain(3, 177, 0, 1), plain(4, 177, 2, 1)]
+    flight = Flight([waypoint(0, 0, 0), waypoint(1, 1, 0), *jumps])
+    flight.sequencer.start()
+    assert flight.fly() == [0, 1]
+
+
 def test_a_complete_mission_starts_anew_with_its_jumps() -> None:
     flight = Flight(paper_plan(2).mission)
     for _ in range(2):

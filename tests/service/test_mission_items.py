@@ -57,6 +57,7 @@ REFUSED = (
     (plain(0, 195), 2, "has no position"),
     (plain(0, 207, 0.0), 6, "cannot be switched off"),
     (plain(0, 93, -1.0), 6, "delay (param1)"),
+    (placed(0, 16, -1.4, 0.6, 0.5, 0.0, 0.0199), 7, "acceptance radius (param2) is 0.0199"),
 )
 
 
@@ -65,6 +66,7 @@ def test_what_cannot_be_flown_is_refused_by_name() -> None:
     for item, field, text in REFUSED:
         assert world.upload([item]).type == field
         assert "item 0" in world.texts() and text in world.texts()
+    assert world.upload([placed(0, 16, -1.4, 0.6, 0.5, 0.0, 0.02)]).type == 0, "as in a file"
 
 
 def test_a_circle_that_leaves_the_fence_is_not_started() -> None:
@@ -105,6 +107,12 @@ def test_conditions_wait_on_the_way_and_not_at_a_stop() -> None:
     assert at(0.8) > 0.2
     between = speed[int(np.argmax(along > -1.2)) : int(np.argmax(along > 0.9))]
     assert between.min() > 0.1
+
+
+def test_a_mission_that_ends_with_a_gate_reaches_its_last_item() -> None:
+    world = afloat()
+    world.fly([waypoint(0, -0.8, 0.6), placed(1, 4501, -0.5, 0.6, 0.5)], 10.0)
+    assert "Mission complete" in world.texts() and world.reached == [0, 1]
 
 
 def test_the_vehicle_looks_at_a_place_wherever_it_goes() -> None:

@@ -9,12 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
+from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.items import GoTo
 from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
+from tests.plan_items import local, plain, tank, waypoint
 from tests.service.commander_bench import OK, Bench
 
 SCENARIO = """
@@ -108,6 +110,57 @@ def test_no_free_way_is_named_as_such() -> None:
     bench.status.unreachable = True
     bench.run(12.0)
     assert any(text == "Skipped item 0, out of reach: no free way" for text in bench.texts)
+
+
+def _in_tank(*mission: PlanItem, **params: float) -> Bench:
+    bench = Bench(**params)
+    bench.pos = np.array([-1.9, 0.9, 0.5])
+    assert bench.plans.replace(PlanKind.FENCE, tuple(tank())) is None
+    assert bench.plans.replace(PlanKind.MISSION, mission) is None
+    return bench
+
+
+def test_a_circle_round_the_vehicle_is_not_begun_where_it_has_no_room() -> None:
+    bench = _in_tank(plain(0, 18, 1.0, 0.0, 0.9))
+    bench.run()
+    assert "circle comes within -0.30 m of the fence, keep 0.3" in bench.commander.arm(force=False).reason
+    bench.pos = np.array([0.0, 0.0, 0.5])
+    bench.armed()
+    bench.pos = np.array([-1.9, 0.9, 0.5])
+    bench.run()
+    assert "circle comes within" in bench.commander.set_mode(FlightMode.MISSION).reason
+
+
+@pytest.mark.parametrize(
+    ("action", "text"), [(1, "Holding: item 3 out of reach, circle"), (2, "Skipped item 3, out of reach: circle")]
+)
+def test_a_circle_that_a_jump_brings_to_a_place_without_room_is_given_up_at_once(action: float, text: str) -> None:
+    ring = plain(3, 18, 1.0, 0.0, 0.9)
+    mission = (waypoint(0, -1.9, 0.9), plain(1, 177, 3, 1), waypoint(2, 0.0, 0.0), ring, waypoint(4, 0.0, 0.0))
+    bench = _in_tank(*mission, WP_STUCK_ACT=action).armed()
+    for times in (1, 2):
+        assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+        bench.run(0.5)
+        found = [told for told in bench.texts if told.startswith(text)]
+        assert len(found) == (times if action == 1 else 1), bench.texts
+        assert bench.commander.mode is (FlightMode.HOLD if action == 1 else FlightMode.MISSION)
+    assert "of the fence, keep 0.3" in found[0]
+
+
+def test_a_last_gate_that_is_given_up_is_not_reached() -> None:
+    bench = _in_tank(waypoint(0, -1.9, 0.9), local(1, 4501, 1.0, 0.9, 0.5), WP_STUCK_TIME=10).armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    reached = [seq for _ in range(2000) for seq in bench.run().reached]
+    assert reached == [0] and "Mission complete, laps: 1, items skipped: 1" in bench.texts
+
+
+def test_a_mission_that_returns_is_not_started_with_a_home_beyond_the_fence() -> None:
+    here = plain(1, 179, 1.0)
+    for mission, denied in (((plain(1, 20),), True), ((here, plain(2, 20)), False)):
+        bench = _in_tank(waypoint(0, -1.5, 0.0), *mission).armed()
+        assert bench.commander.restore_home(np.array([-3.0, 0.0, 0.0])) == ""
+        answer = bench.commander.set_mode(FlightMode.MISSION)
+        assert (answer.reason == "Mission denied: home is 0.50 m beyond the fence: set another") == denied
 
 
 def test_a_goal_that_the_current_puts_out_of_reach_is_given_up_in_10_s_with_what_is_missing() -> None:

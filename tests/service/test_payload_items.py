@@ -12,8 +12,10 @@ from autopilot.core.background import BackgroundWorker
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StillRecord
+from autopilot.mission.plan_model import PlanFile
+from autopilot.run.plan_verdict import verdict_of
 from autopilot.run.still_files import StillStore
-from tests.plan_items import NAN, plain, waypoint
+from tests.plan_items import NAN, ORIGIN, plain, waypoint
 
 START = (-1.2, 0.6, 0.5, 0.0)
 EXPOSURE_US = 33_333
@@ -164,3 +166,6 @@ def test_what_nothing_can_do_is_refused_at_the_upload() -> None:
     for item, text in REFUSED:
         assert world.upload([item]).type != 0, item
         assert "item 0" in world.texts() and text in world.texts(), (text, world.texts())
+        verdict = verdict_of(PlanFile(mission=(item,)), ORIGIN, world.parts.params, world.vehicle)
+        assert verdict.problem.removeprefix("item 0: ") in world.texts(), "as the check of a file says"
+        assert text in verdict.problem

@@ -263,6 +263,7 @@ def test_an_armed_vehicle_keeps_a_fence_that_it_does_not_break() -> None:
     north, east, _ = yard.pos
     around = circle(len(tank), north + 0.1, east, 0.3)
     assert "disarm" in offer(())
+    assert "disarm" in offer((local(0, 5000, 0.0, 0.0),)), "a return point keeps nothing in or out"
     assert "the vehicle would be" in offer((*tank, around))
     assert "armed and item 1 is" in offer((*tank[:4], circle(4, 1.75, 0.0, 0.1)))
     assert offer(tuple(replace(item) for item in tank)) == ""
@@ -272,6 +273,23 @@ def test_an_armed_vehicle_keeps_a_fence_that_it_does_not_break() -> None:
     assert float(fence_clearance_m(yard.commander.fence, yard.pos[None, :2])[0]) == np.inf
     assert offer((*tank[:4], circle(4, 1.75, 0.0, 0.1))) == ""
     assert yard.commander.start_mission(None).result is CommandResult.DENIED
+
+
+def test_an_armed_vehicle_takes_no_fence_that_cuts_it_off_from_its_item() -> None:
+    yard = Yard()
+    basin = tuple(box(0, 0.0, 0.0, HALF_N, HALF_E, True))
+    wall = box(4, 0.5, 0.0, 0.1, HALF_E, False)
+    assert yard.plans.replace(PlanKind.FENCE, basin) is None
+    assert yard.plans.replace(PlanKind.MISSION, (waypoint(0, 2.0, 0.0),)) is None
+    yard.armed()
+    for mode, refused in ((FlightMode.MISSION, True), (FlightMode.HOLD, False)):
+        assert yard.commander.set_mode(mode).result is OK
+        yard.run(0.1)
+        change = yard.plans.propose({PlanKind.FENCE: (*basin, *wall)})
+        yard.run(0.1)
+        assert change.done and (change.rejection is not None) == refused
+        if change.rejection is not None:
+            assert change.rejection.reason.startswith("no free path from the vehicle to item 0: move the vehicle")
 
 
 def test_a_check_that_fails_forbids_to_fly_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -83,8 +83,7 @@ class CircleMode(FlightModeBehaviour):
         return self._take(LoiterCircle(params, centre_m, radius_m, speed, depth_m=self._goals.in_band(z)))
 
     def _take(self, circle: LoiterCircle) -> str:
-        keep_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
-        reason = circle.refusal(self._goals.boundaries, keep_m)
+        reason = self._goals.refuse_circle(circle)
         if not reason:
             self._circle = circle
         return reason
