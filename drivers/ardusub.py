@@ -465,7 +465,7 @@ class ArduSub(Closing):
         """A pilot who has it is disturbed by no more than one."""
         if self._wire is not None and self._rest:
             self._wire.override(NEUTRAL)
-            self._rest = 0 if self._watch.authority is Authority.PILOT else self._rest - 1
+            self._rest = 0 if self._watch.pilots else self._rest - 1
 
     def _compare(self, t_us: int, message: Any) -> list[Sample]:
         """Compare the reported outputs with the command; the camera's tilt is one of them."""
