@@ -129,9 +129,7 @@ def start(
         if plan is not None and file is not None:
             _upload(session, plan, file, clear, quiet=as_json)
         with once_each(session):
-            if session.vehicle is None or not session.vehicle.armed:
-                session.arm()
-            session.start_mission()
+            _arm_and_start(session)
         if not wait:
             if as_json:
                 emit_json({"vehicle": _vehicle(session), "started": True})
@@ -235,6 +233,23 @@ def once_each(session: VehicleConnection) -> Iterator[None]:
         session.on_text = show
         for text in held:
             show(text)
+
+
+def _arm_and_start(session: VehicleConnection) -> None:
+    """A vehicle that is armed here and then refuses is not left with its thrusters turning."""
+    armed_here = session.vehicle is None or not session.vehicle.armed
+    if armed_here:
+        session.arm()
+    try:
+        session.start_mission()
+    except AutopilotError:
+        if armed_here:
+            try:
+                session.disarm()
+                click.echo("not started: disarmed again", err=True)
+            except AutopilotError as error:
+                click.echo(f"not started, and STILL ARMED: {error}", err=True)
+        raise
 
 
 def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
