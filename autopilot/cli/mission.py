@@ -14,7 +14,7 @@ from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table, progress_bar
 from autopilot.cli.mission_new import new
 from autopilot.cli.shared_options import JSON
-from autopilot.core.errors import AutopilotError
+from autopilot.core.errors import AutopilotError, PlanError
 
 if TYPE_CHECKING:
     from autopilot.client.client_session import MissionStatus, VehicleConnection
@@ -248,7 +248,7 @@ def _arm_and_start(session: VehicleConnection) -> None:
                 session.disarm()
                 click.echo("not started: disarmed again", err=True)
             except AutopilotError as error:
-                click.echo(f"not started, and STILL ARMED: {error}", err=True)
+                click.echo(f"not started, and not known to be disarmed: {error}", err=True)
         raise
 
 
@@ -260,6 +260,8 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
     kinds: tuple[PlanKind, ...] = (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION)
     if file.suffix.lower() in (".waypoints", ".txt"):
         kinds = (PlanKind.MISSION,)
+    if clear and session.vehicle is not None and session.vehicle.armed:
+        raise PlanError("--clear denied: the vehicle is armed and would be left without plans; disarm it, or send without")
     if clear:
         for kind in reversed(kinds):
             with once_each(session):

@@ -31,7 +31,8 @@ def _rov(folder: Path) -> Path:
     return _file(folder, text + f'connect = ["udpin:127.0.0.1:{free_port()}"]\n' + ARDUSUB.format(port=free_port()))
 
 
-def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_with_a_whole_log(tmp_path: Path, number: int) -> None:
     log = tmp_path / "run.mcap"
     command = autopilot_command("run", "--config", str(_rov(tmp_path)), "--log", str(log))
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
@@ -39,7 +40,7 @@ def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:
         for line in process.stdout:
             if "MAVLink on" in line:
                 break
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         rest = process.stdout.read()
     assert process.returncode == 0, rest
     assert "overruns" in rest
