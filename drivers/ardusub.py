@@ -39,7 +39,7 @@ from autopilot.drivers.ardusub_wire import (
     Wire,
 )
 from autopilot.drivers.base import Closing
-from autopilot.drivers.links import open_link
+from autopilot.drivers.links import open_link, parse_connection
 
 HEARTBEAT = 0
 REQUEST_EVERY_US = 500_000
@@ -91,6 +91,8 @@ class ArduSub(Closing):
     Options = ArduSubOptions
 
     def __init__(self, vehicle: Vehicle, options: ArduSubOptions) -> None:
+        """ConfigError for a vehicle, or a connection string, that is none for it."""
+        parse_connection(options.connect)
         self._vehicle = vehicle
         self._options = options
         frame = FRAMES[options.frame]

@@ -261,7 +261,7 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
     if file.suffix.lower() in (".waypoints", ".txt"):
         kinds = (PlanKind.MISSION,)
     if clear and session.vehicle is not None and session.vehicle.armed:
-        raise PlanError("--clear denied: the vehicle is armed and would be left without plans; disarm it, or send without")
+        raise PlanError("--clear denied: the armed vehicle would be left without plans; disarm it, or send without")
     if clear:
         for kind in reversed(kinds):
             with once_each(session):
