@@ -47,6 +47,22 @@ def test_a_signal_ends_a_run_with_a_whole_log(tmp_path: Path, number: int) -> No
     assert open_log(log).topics  # closed, not recovered
 
 
+def test_a_state_folder_is_one_services_even_after_it_was_killed(tmp_path: Path) -> None:
+    command = autopilot_command("run", "--config", str(_rov(tmp_path)))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "MAVLink on" in line:
+                break
+        again = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert again.returncode == 1 and again.stderr.count("\n") == 1
+        assert f"{tmp_path / 'state' / 'bluerov2-0'}: another service" in again.stderr
+        assert "another --instance or state_dir" in again.stderr
+        process.kill()
+    done = subprocess.run((*command, "--duration", "0.2"), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_doctor_says_what_is_not_there_and_what_to_do(tmp_path: Path) -> None:
     command = autopilot_command("doctor", "--config", str(_rov(tmp_path)), "--seconds", "1", "--json")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -116,6 +132,13 @@ def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
         (
             'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = -5'),
             "$.devices.flight_controller.surface_pa",
+        ),
+        *(
+            (
+                'vehicle = "bluerov2"\n' + ARDUSUB.replace("udpin:127.0.0.1:{port}", wrong),
+                "flight_controller`: connection",
+            )
+            for wrong in ("0.0.0.0:21555", "udpin:0.0.0.0", "udpout::21555", "")
         ),
         ('vehicle = "bluerov2"\n' + ARDUSUB.replace('"ardusub"', '"ardupilot"'), "$.devices.flight_controller.driver"),
         ('vehicle = "bluerov2"\n[devices.flight_controller]\nframe = "vectored"\n', "names no `driver`"),
