@@ -59,6 +59,8 @@ MESSAGE_IDS = {
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
 REBOOT_MS = 1000
+SURFACE_PA = (50_000, 120_000)
+"""From a lake at 5500 m to more than the air has ever had."""
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
@@ -83,6 +85,13 @@ class ArduSubOptions(Table, frozen=True, kw_only=True):
     density_kg_m3: Annotated[float, msgspec.Meta(ge=900.0, le=1100.0)] = 998.0
     """Of the water: 998 fresh, 1025 salt."""
     depth_sigma_m: NonNegative = 0.005
+
+    def __post_init__(self) -> None:
+        low, high = SURFACE_PA
+        if self.surface_pa is not None and not low <= self.surface_pa <= high:
+            raise ValueError(
+                f"`surface_pa` = {self.surface_pa:g} Pa; use {low} to {high} Pa (1013.25 hPa are 101325 Pa)"
+            )
 
 
 class ArduSub(Closing):

@@ -116,6 +116,22 @@ def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
     assert "$.devices.sonar" in json.loads(done.stdout)[0]["found"]
 
 
+def test_a_file_with_a_byte_order_mark_and_links_beside_each_other_is_sound(tmp_path: Path) -> None:
+    text = 'vehicle = "bluerov2"\n[service]\nconnect = ["udpin:127.0.0.1:14556", "udpout:127.0.0.1:14555"]\n'
+    path = _file(tmp_path, "")
+    path.write_text(text + ARDUSUB.replace("{port}", "14555"), encoding="utf-8-sig")
+    assert load_config(str(path)).vehicle.name == "bluerov2"
+
+
+def test_a_state_folder_that_is_a_file_is_named_with_a_remedy(tmp_path: Path) -> None:
+    config = _rov(tmp_path)
+    (tmp_path / "state").write_text("")
+    done = subprocess.run(
+        autopilot_command("run", "--config", str(config)), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1 and f"{tmp_path / 'state'}: is not a folder; set state_dir to one" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
@@ -132,6 +148,15 @@ def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
         (
             'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = -5'),
             "$.devices.flight_controller.surface_pa",
+        ),
+        (
+            'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = 1013.25'),
+            "`surface_pa` = 1013.25 Pa; use 50000 to 120000 Pa",
+        ),
+        ('vehicle = "bluerov2"\n[service]\nconnect = []\n' + ARDUSUB, "`connect` is empty"),
+        (
+            'vehicle = "bluerov2"\n[service]\nconnect = ["udpin:0.0.0.0:14555"]\n' + ARDUSUB,
+            "`$.service.connect` and `$.devices.flight_controller.connect` both listen on UDP port 14555",
         ),
         *(
             (
