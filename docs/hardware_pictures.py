@@ -66,9 +66,9 @@ class Walk:
         config = (folder / "rov.toml").read_text(encoding="utf-8").replace("0.0.0.0:14555", f"127.0.0.1:{below}")
         config = re.sub(r"^connect = \[.*\]", f'connect = ["udpin:127.0.0.1:{self.ours}"]', config, flags=re.MULTILINE)
         if markers:
-            printed = self.printed(emulated, r"\[devices\.camera\] (.*)")
+            printed = self.printed(emulated, r"(\[devices\.camera\]\n(?:.+\n){3})")
             config = config.replace("[place]\n", '[place]\nmarkers = "floor.toml"\n')
-            config += "\n[devices.camera]\n" + printed.replace(", ", "\n") + "\n"
+            config += "\n" + printed
         (folder / "rov.toml").write_text(config, encoding="utf-8")
 
     def do(self, *arguments: str) -> str:

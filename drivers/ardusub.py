@@ -39,7 +39,7 @@ from autopilot.drivers.ardusub_wire import (
     Wire,
 )
 from autopilot.drivers.base import Closing
-from autopilot.drivers.links import open_link
+from autopilot.drivers.links import open_link, parse_connection
 
 HEARTBEAT = 0
 REQUEST_EVERY_US = 500_000
@@ -59,6 +59,8 @@ MESSAGE_IDS = {
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
 REBOOT_MS = 1000
+SURFACE_PA = (50_000, 120_000)
+"""From a lake at 5500 m to more than the air has ever had."""
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
@@ -84,6 +86,13 @@ class ArduSubOptions(Table, frozen=True, kw_only=True):
     """Of the water: 998 fresh, 1025 salt."""
     depth_sigma_m: NonNegative = 0.005
 
+    def __post_init__(self) -> None:
+        low, high = SURFACE_PA
+        if self.surface_pa is not None and not low <= self.surface_pa <= high:
+            raise ValueError(
+                f"`surface_pa` = {self.surface_pa:g} Pa; use {low} to {high} Pa (1013.25 hPa are 101325 Pa)"
+            )
+
 
 class ArduSub(Closing):
     """A :class:`autopilot.drivers.protocols.FlightController`."""
@@ -91,6 +100,8 @@ class ArduSub(Closing):
     Options = ArduSubOptions
 
     def __init__(self, vehicle: Vehicle, options: ArduSubOptions) -> None:
+        """ConfigError for a vehicle, or a connection string, that is none for it."""
+        parse_connection(options.connect)
         self._vehicle = vehicle
         self._options = options
         frame = FRAMES[options.frame]
@@ -465,7 +476,7 @@ class ArduSub(Closing):
         """A pilot who has it is disturbed by no more than one."""
         if self._wire is not None and self._rest:
             self._wire.override(NEUTRAL)
-            self._rest = 0 if self._watch.authority is Authority.PILOT else self._rest - 1
+            self._rest = 0 if self._watch.pilots else self._rest - 1
 
     def _compare(self, t_us: int, message: Any) -> list[Sample]:
         """Compare the reported outputs with the command; the camera's tilt is one of them."""

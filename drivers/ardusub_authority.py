@@ -82,9 +82,14 @@ class AuthorityWatch:
 
     @property
     def authority(self) -> Authority:
-        if self.mode is not None and self.mode != MANUAL:
-            return Authority.PILOT
-        return Authority.STOPPED if self._stopped else Authority.OURS
+        if self._stopped:
+            return Authority.STOPPED
+        return Authority.PILOT if self.pilots else Authority.OURS
+
+    @property
+    def pilots(self) -> bool:
+        """Whether it is in a mode of its pilot's choice."""
+        return self.mode is not None and self.mode != MANUAL
 
     @property
     def text(self) -> str:
@@ -138,8 +143,7 @@ class AuthorityWatch:
     @property
     def ours_to_stop(self) -> bool:
         """Whether our shutdown disarms it: not if its pilot has armed it or has the authority."""
-        pilots = self.mode is not None and self.mode != MANUAL
-        return not pilots and not self.handed_back and (self.wanted or self._had or self.found_armed)
+        return not self.pilots and not self.handed_back and (self.wanted or self._had or self.found_armed)
 
     def beat_due(self, t_us: int) -> bool:
         """Whether it is to be asked for a heartbeat now."""
@@ -213,9 +217,10 @@ class AuthorityWatch:
             self._armed_us = t_us
         lost = self.armed and not armed
         self.armed = armed
-        self._had |= armed and self.wanted
-        if lost and self.wanted and self.mode == MANUAL:
+        if lost and self.wanted:  # in whatever mode; who arms it again is its pilot
             self._stopped = why or "disarmed by pilot or failsafe"
+            self._had = False
+        self._had |= armed and self.wanted and not self._stopped
         if not armed and not self.wanted:
             self._had = self.handed_back = False
 

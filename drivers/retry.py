@@ -8,7 +8,7 @@ A connected device without data is also reported; the reaction to an old reading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from enum import Enum
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.daemon_executor import DaemonExecutor
@@ -39,6 +39,9 @@ class DeviceState(Enum):
 class RetryingDevice(Generic[D]):
     """A device that is reopened after failures. ``name``: its name for operators."""
 
+    speaks: ClassVar[bool] = False
+    """It is back with its first data: a UDP port opens whether or not anybody is there."""
+
     def __init__(self, device: D, name: str) -> None:
         self.device = device
         self.name = name
@@ -49,6 +52,10 @@ class RetryingDevice(Generic[D]):
         self._opening: Future[None] | None = None
         self._up = False
         self._silent = False
+        self._told_silent = False
+        """Since it was last heard."""
+        self._returns = False
+        """Open again, and not reported yet."""
         self._last_received_us = 0
         self._retry_us = 0
         self._pause_us = FIRST_PAUSE_US
@@ -100,12 +107,16 @@ class RetryingDevice(Generic[D]):
         """Record whether it has delivered data at ``t_us``."""
         if something:
             self._last_received_us = t_us
-            if self._silent:
-                self._silent = False
+            if self._returns:
+                self._tell_return()
+            elif self._silent:
                 self._notices.append(notices.DEVICE_HEARD(name=self.name))
+            self._silent = self._told_silent = False
         elif self._up and not self._silent and t_us - self._last_received_us > SILENT_US:
             self._silent = True
-            self._notices.append(notices.DEVICE_SILENT(name=self.name))
+            if not self._told_silent:
+                self._told_silent = True
+                self._notices.append(notices.DEVICE_SILENT(name=self.name))
 
     def lose(self, t_us: int, problem: str) -> None:
         """It is gone: close it, and try again after a pause."""
@@ -122,10 +133,14 @@ class RetryingDevice(Generic[D]):
         self._up, self._silent, self._last_received_us = True, False, t_us
         self.opened_count += 1
         self.problem, self._pause_us = "", FIRST_PAUSE_US
-        if self._reported or self.opened_count > 1:
-            self._reported = ""
-            row = notices.DEVICE_RECONNECTED if self.opened_count > 1 else notices.DEVICE_CONNECTED
-            self._notices.append(row(name=self.name))
+        self._returns = bool(self._reported) or self.opened_count > 1
+        if self._returns and not self.speaks:
+            self._tell_return()
+
+    def _tell_return(self) -> None:
+        self._returns, self._reported = False, ""
+        row = notices.DEVICE_RECONNECTED if self.opened_count > 1 else notices.DEVICE_CONNECTED
+        self._notices.append(row(name=self.name))
 
     def _fail(self, t_us: int, problem: str) -> None:
         self.problem = problem
@@ -141,6 +156,8 @@ class RetryingDevice(Generic[D]):
 
 class SteadySensor(RetryingDevice[Sensor[Any]]):
     """A sensor that gives nothing while it is away."""
+
+    speaks = True
 
     def __init__(self, device: Sensor[Any], name: str) -> None:
         super().__init__(device, name)
@@ -188,6 +205,8 @@ class SteadyOutput(RetryingDevice[Out]):
 
 
 class SteadyController(SteadyOutput[FlightController]):
+    speaks = True
+
     def poll(self, t_us: int) -> list[Any]:
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)

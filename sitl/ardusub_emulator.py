@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
@@ -118,6 +119,16 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
     }
 
 
+def check_frame(vehicle: Vehicle, frame: str) -> None:
+    """ConfigError for a vehicle without a thruster for each of the frame's motors."""
+    motors = set(range(1, len(FACTORS[frame]) + 1))
+    if not motors <= {thruster.channel for thruster in vehicle.thrusters}:
+        raise ConfigError(
+            f"vehicle {vehicle.name!r}: ArduSub's frame {frame} has motors 1 to {len(motors)}; use --vehicle bluerov2"
+            " with --frame vectored, bluerov2-heavy with vectored_6dof"
+        )
+
+
 class ArduSubEmulator:
     """Bytes in, bytes and servo pulses out. Time is handed in."""
 
@@ -135,6 +146,7 @@ class ArduSubEmulator:
         """``directions``: MOT_n_DIRECTION as this vehicle needs them, 1 for all by default."""
         from pymavlink.dialects.v20 import ardupilotmega
 
+        check_frame(vehicle, frame)
         self._dialect: Any = ardupilotmega
         self._mav: Any = ardupilotmega.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._readers: dict[int, Any] = {}

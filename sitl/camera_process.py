@@ -193,7 +193,7 @@ def opened_camera(
         return None
     camera = CameraProcess(scenario, vehicle, seed, **place._asdict())
     camera.open()
-    tell(f'[devices.camera] driver = "opencv", source = "{camera.url}", latency_s = {camera.latency_s:g}')
+    tell(f'[devices.camera]\ndriver = "opencv"\nsource = "{camera.url}"\nlatency_s = {camera.latency_s:g}')
     return camera
 
 

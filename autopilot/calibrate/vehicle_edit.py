@@ -68,7 +68,7 @@ def vehicle_text(vehicle: str) -> tuple[str, str]:
     if vehicle in vehicle_names():
         path = Path(str(resources.files("autopilot") / "data" / "vehicles" / f"{vehicle}.toml"))
     try:
-        return str(path), path.read_text(encoding="utf-8")
+        return str(path), path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ConfigError(f"vehicle {vehicle}: {error.strerror}; name its file by --vehicle") from error
 

@@ -14,7 +14,7 @@ from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table, progress_bar
 from autopilot.cli.mission_new import new
 from autopilot.cli.shared_options import JSON
-from autopilot.core.errors import AutopilotError
+from autopilot.core.errors import AutopilotError, PlanError
 
 if TYPE_CHECKING:
     from autopilot.client.client_session import MissionStatus, VehicleConnection
@@ -129,9 +129,7 @@ def start(
         if plan is not None and file is not None:
             _upload(session, plan, file, clear, quiet=as_json)
         with once_each(session):
-            if session.vehicle is None or not session.vehicle.armed:
-                session.arm()
-            session.start_mission()
+            _arm_and_start(session)
         if not wait:
             if as_json:
                 emit_json({"vehicle": _vehicle(session), "started": True})
@@ -237,6 +235,23 @@ def once_each(session: VehicleConnection) -> Iterator[None]:
             show(text)
 
 
+def _arm_and_start(session: VehicleConnection) -> None:
+    """A vehicle that is armed here and then refuses is not left with its thrusters turning."""
+    armed_here = session.vehicle is None or not session.vehicle.armed
+    if armed_here:
+        session.arm()
+    try:
+        session.start_mission()
+    except AutopilotError:
+        if armed_here:
+            try:
+                session.disarm()
+                click.echo("not started: disarmed again", err=True)
+            except AutopilotError as error:
+                click.echo(f"not started, and not known to be disarmed: {error}", err=True)
+        raise
+
+
 def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
     """Fence, rally points, mission, so that the last word of the vehicle is about all. A .waypoints file holds a
     mission only."""
@@ -245,6 +260,8 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
     kinds: tuple[PlanKind, ...] = (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION)
     if file.suffix.lower() in (".waypoints", ".txt"):
         kinds = (PlanKind.MISSION,)
+    if clear and session.vehicle is not None and session.vehicle.armed:
+        raise PlanError("--clear denied: the armed vehicle would be left without plans; disarm it, or send without")
     if clear:
         for kind in reversed(kinds):
             with once_each(session):

@@ -81,7 +81,8 @@ def _run(
 ) -> "tuple[Session, RunEnd | None]":
     """The run, from links to its end, and how an operator has ended it."""
     from autopilot.run.console import EventLines
-    from autopilot.run.hardware_session import open_vehicle, open_vehicle_links
+    from autopilot.run.hardware_session import open_vehicle, open_vehicle_links, state_folder
+    from autopilot.run.state_lock import locked_state
 
     lines = EventLines(lambda text: show(text))
 
@@ -89,9 +90,12 @@ def _run(
         options["on_tick"] = lines.step
         return open_vehicle(settings, loaded, overrides, instance=instance, **options)
 
-    with flights.ready(lambda: open_vehicle_links(settings, loaded, overrides, instance=instance), make) as (
-        session,
-        show,
+    with (
+        locked_state(state_folder(settings, loaded, instance)),
+        flights.ready(lambda: open_vehicle_links(settings, loaded, overrides, instance=instance), make) as (
+            session,
+            show,
+        ),
     ):
         devices = ", ".join(f"{kind} {setup.driver}" for kind, setup in loaded.devices.items())
         show(f"{loaded.path.name}: {loaded.vehicle.name}, {devices}, MAVLink on {', '.join(settings['connect'])}")

@@ -22,12 +22,15 @@ S = TypeVar("S", bound="Session")
 
 
 class StopSignals:
-    """SIGTERM and SIGINT let the tick end; a second one does not wait."""
+    """SIGTERM, SIGINT and SIGHUP (a terminal that closes) let the tick end; a second one does not wait."""
 
     def __init__(self) -> None:
         self._came: list[int] = []
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._stop)
+        hang_up = getattr(signal, "SIGHUP", None)
+        if hang_up is not None and signal.getsignal(hang_up) is not signal.SIG_IGN:  # nohup ignores it
+            signal.signal(hang_up, self._stop)
 
     def __bool__(self) -> bool:
         """Whether a signal has arrived."""

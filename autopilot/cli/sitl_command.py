@@ -100,7 +100,8 @@ def _run(
     settings: "EffectiveSettings", overrides: dict[str, float], instance: int, flights: Flights
 ) -> "tuple[SitlSession, RunWatch]":
     """A run, from links to its end."""
-    from autopilot.run.sitl_params import open_sitl_links
+    from autopilot.run.sitl_params import open_sitl_links, state_folder
+    from autopilot.run.state_lock import locked_state
 
     def make(options: "SessionOptions") -> "SitlSession":
         from autopilot.run.sitl_session import open_sitl
@@ -108,7 +109,10 @@ def _run(
         options["on_tick"] = lambda outputs: watch.step(outputs)
         return open_sitl(settings, overrides, instance=instance, **options)
 
-    with flights.ready(lambda: open_sitl_links(settings, overrides, instance=instance), make) as (session, show):
+    with (
+        locked_state(state_folder(settings, instance)),
+        flights.ready(lambda: open_sitl_links(settings, overrides, instance=instance), make) as (session, show),
+    ):
         from autopilot.run.sitl_console import RunWatch
 
         watch = RunWatch(session, show)

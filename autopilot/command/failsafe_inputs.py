@@ -45,7 +45,7 @@ class FailsafeInputs:
         self.armed_us: float = math.inf
         """When it was armed; inf = it is not."""
         self.nav_lost = 0.0
-        """1 = the estimate is not valid though it has been."""
+        """1 = the estimate is not valid though it has been, or though the vehicle is armed."""
         self.no_fix_s = NEVER
         self.beyond_m = NEVER
         """How far the vehicle's ball reaches beyond fence or depth band, negative = inside."""
@@ -70,7 +70,7 @@ class FailsafeInputs:
         t_us, nav = status.t_us, status.nav
         valid = nav is not None and nav.health is not NavHealth.INVALID
         self._known = self._known or valid
-        self.nav_lost = 1.0 if self._known and not valid and not blind else 0.0
+        self.nav_lost = 1.0 if (self._known or armed) and not valid and not blind else 0.0
         if not armed:
             self.armed_us = math.inf
         elif self.armed_us == math.inf:

@@ -100,7 +100,7 @@ def _placed(v: VehicleStatus) -> bool:
 ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.NAV_LOST,
-        condition="no valid estimate for `FS_NAV_TIMEOUT`, after there was one",
+        condition="no valid estimate for `FS_NAV_TIMEOUT`, once known or armed",
         level=lambda v, f: f.nav_lost,
         enter=1.0,
         enter_s="FS_NAV_TIMEOUT",

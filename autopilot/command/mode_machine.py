@@ -6,7 +6,7 @@ from typing import TypeVar
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
-from autopilot.command.modes.mode import FlightModeBehaviour, ModeContext, ModeStep, denied
+from autopilot.command.modes.mode import FlightModeBehaviour, ModeContext, ModeStep, denied, no_position
 from autopilot.command.modes.mode_table import MODES
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
@@ -91,6 +91,9 @@ class ModeMachine:
         steers = not self._modes[mode].needs_position and not self._failsafes.acts_beside(Failsafe.NAV_LOST)
         if self.overridden and mode is not FlightMode.SURFACE and self._failsafes.acting and not steers:
             return denied(f"Mode change denied: failsafe active ({self._failsafes.describe()})")
+        piloted = self.armed and not self.active.needs_position
+        if piloted and self.nav is None and self._modes[mode].needs_position and mode is not FlightMode.SURFACE:
+            return no_position(mode)  # the pilot would let go of a vehicle that drifts
         return self._modes[mode].refusal(self.status, armed=self.armed)
 
     def prepare(self, mode: FlightMode) -> str:

@@ -102,6 +102,9 @@ class SigningFiles:
             mode, text = stat.S_IMODE(os.stat(path).st_mode), path.read_text(encoding="ascii", errors="replace").strip()
         except FileNotFoundError:
             return None, ()
+        except NotADirectoryError as error:
+            found = next(each for each in path.parents if each.exists())
+            raise ConfigError(f"{found}: is not a folder; set state_dir to one") from error
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be read ({error.strerror}); it has to belong to the service's user"

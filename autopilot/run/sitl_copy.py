@@ -19,7 +19,7 @@ def copy_scenario(name: str, source: str, target: Path) -> list[Path]:
     if _NAME.fullmatch(name) is None or name.endswith(".toml"):
         raise ConfigError(f"{name!r} is no name for a scenario; use letters, digits and dashes")
     scenario = load_scenario(source)
-    text = scenario_path(source).read_text(encoding="utf-8")
+    text = scenario_path(source).read_text(encoding="utf-8-sig")
     copies: dict[Path, bytes] = {}
     plan, plan_name = plan_path(source, scenario), None
     if plan is not None:

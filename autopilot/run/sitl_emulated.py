@@ -8,6 +8,7 @@ import msgspec
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.run.clocks import make_clock
+from autopilot.run.truth_file import opened_truth
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_process import CameraPlace, opened_camera
 from autopilot.sitl.scenario import load_scenario, with_vehicle
@@ -48,13 +49,13 @@ def emulate(
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)
     vehicle = ArduSubVehicle(scenario, hull, frame, seed=seed)
+    track = opened_truth(truth_file)
     pictures = opened_camera(scenario, hull, seed, camera, tell)
     ends = [open_link(text) for text in links]
     trackers = [open_link(text) for text in pose]
     clock, flight, t_us = make_clock(1.0), EmulatedFlight(), 0
     start = vehicle.truth.pos_ned_m.copy()
     encoder = msgspec.json.Encoder()
-    track = None if truth_file is None else truth_file.open("wb")
     try:
         while not stop() and (duration_s is None or t_us < 1e6 * duration_s):
             t_us += STEP_US

@@ -12,7 +12,9 @@ import msgspec
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
+from autopilot.run.truth_file import opened_truth
 from autopilot.sitl.ardupilot_json import JsonPhysics
+from autopilot.sitl.ardusub_emulator import check_frame
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_process import CameraPlace, opened_camera
 from autopilot.sitl.plant import Truth
@@ -74,6 +76,7 @@ def serve_physics(
     """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)
+    check_frame(hull, frame)
     vehicles: list[ArduSubVehicle] = []
 
     def fresh() -> Callable[[int, tuple[int, ...]], Truth]:
@@ -83,9 +86,9 @@ def serve_physics(
     physics = JsonPhysics(
         fresh, None if scenario.tank is None else scenario.tank.depth_m, hull.depth_sensor.position_frd_m
     )
+    track = opened_truth(truth_file)
     trackers = [open_link(text) for text in pose]
     pictures = opened_camera(scenario, hull, seed, camera, tell)
-    track = None if truth_file is None else truth_file.open("w", encoding="utf-8")
     flight, end_us = PhysicsFlight(), None if duration_s is None else 1e6 * duration_s
     received_s = began_s = time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
@@ -134,7 +137,7 @@ def serve_physics(
                 if track is not None and physics.t_us >= next_track_us:
                     next_track_us += TRACK_US
                     row = [1e-6 * physics.t_us, *physics.truth.pos_ned_m.tolist(), *physics.truth.rpy_rad.tolist()]
-                    track.write(json.dumps([*row, *vehicles[-1].controller.servos_us]) + "\n")
+                    track.write(json.dumps([*row, *vehicles[-1].controller.servos_us]).encode() + b"\n")
         finally:
             for device in (*trackers, *(() if pictures is None else (pictures,))):
                 device.close()

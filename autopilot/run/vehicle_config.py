@@ -18,7 +18,8 @@ from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import NonNegative, Positive, Table, convert, read_toml
 from autopilot.core.vehicle import Vehicle, load_vehicle, vehicle_names
-from autopilot.drivers.devices import CAMERA, DeviceSetup, read_devices
+from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER, DeviceSetup, read_devices
+from autopilot.drivers.links import parse_connection
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -57,6 +58,10 @@ class ServiceTable(Table, frozen=True, kw_only=True):
     log_quota_mb: NonNegative | None = None
     log_camera_hz: NonNegative | None = None
     state_dir: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.connect == ():
+            raise ValueError("`connect` is empty: nobody would reach the vehicle; name a link, or remove the key")
 
     def given(self, folder: Path) -> dict[str, Any]:
         """Keys set in the file, by name; folders relative to ``folder``."""
@@ -145,6 +150,26 @@ def _check(config: VehicleConfig) -> None:
             setup.make(config.vehicle)
         except ConfigError as error:
             raise ConfigError(f"{origin}: `$.devices.{kind}`: {error}") from error
+    _check_ports(config)
+
+
+def _check_ports(config: VehicleConfig) -> None:
+    """Two that listen on one UDP port would only be found when the second is opened. ConfigError."""
+    below = config.devices.get(FLIGHT_CONTROLLER)
+    theirs = None if below is None else getattr(below.options, "connect", None)
+    ours = config.file.service.connect or ()
+    for text in ours if isinstance(theirs, str) else ():
+        try:
+            links = parse_connection(text), parse_connection(str(theirs))
+        except ConfigError as error:
+            raise ConfigError(f"{config.path}: `$.service.connect`: {error}") from error
+        hosts = {link.address for link in links}
+        meet = len(hosts) == 1 or "0.0.0.0" in hosts
+        if {link.kind for link in links} == {"udpin"} and len({link.number for link in links}) == 1 and meet:
+            raise ConfigError(
+                f"{config.path}: `$.service.connect` and `$.devices.{FLIGHT_CONTROLLER}.connect` both listen on"
+                f" UDP port {links[0].number}; give one of them another"
+            )
 
 
 def apply_parameters(config: VehicleConfig, params: ParamSet) -> None:

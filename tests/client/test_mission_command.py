@@ -8,7 +8,7 @@ from click.testing import CliRunner, Result
 from client_world import MemoryLink
 
 from autopilot.cli.mission import mission
-from autopilot.core.errors import DriverError, PlanError
+from autopilot.core.errors import AutopilotError, DriverError, PlanError
 from autopilot.core.plan import PlanKind
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import read_plan, write_plan
@@ -169,6 +169,27 @@ def test_start_without_waiting_and_in_words(link: MemoryLink, tmp_path: Path) ->
     again = run("start", "--wait")
     assert again.exit_code == 0, again.output
     assert "mission complete: 2 items reached" in again.output, "item 0 was reached before, the mission goes on"
+
+
+def test_what_start_has_armed_it_disarms_again_if_the_mission_is_refused(link: MemoryLink) -> None:
+    refused = run("start")
+    assert isinstance(refused.exception, AutopilotError) and "no mission" in str(refused.exception)
+    assert "not started: disarmed again" in refused.output
+    assert not link.vehicle.armed
+    link.vehicle.armed = True  # by somebody else: his it stays
+    assert isinstance(run("start").exception, AutopilotError)
+    assert link.vehicle.armed
+
+
+@pytest.mark.parametrize("command", ["upload", "start"])
+def test_an_armed_vehicle_keeps_the_plans_that_it_has(link: MemoryLink, command: str) -> None:
+    assert run("upload", PAPER).exit_code == 0
+    link.vehicle.armed = True
+    refused = run(command, PAPER, "--clear")
+    assert isinstance(refused.exception, PlanError) and "disarm it" in str(refused.exception)
+    assert [len(link.plans.items(kind)) for kind in (PlanKind.MISSION, PlanKind.FENCE)] == [4, 6]
+    link.vehicle.armed = False
+    assert run(command, PAPER, "--clear").exit_code == 0
 
 
 def test_nobody_answers(link: MemoryLink) -> None:

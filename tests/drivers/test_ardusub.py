@@ -234,6 +234,30 @@ def test_disarmed_below_is_told_and_not_undone(bench: Bench) -> None:
     assert bench.below.armed  # asked for anew
 
 
+@pytest.mark.parametrize("later_s", [1.5, 6.0], ids=["soon", "late"])
+@pytest.mark.parametrize("rearmed", [False, True])
+@pytest.mark.parametrize("ours", [False, True], ids=["told", "untold"])
+def test_disarmed_below_in_a_pilots_mode_it_is_not_armed_again(
+    bench: Bench, later_s: float, rearmed: bool, ours: bool
+) -> None:
+    bench.fly()
+    bench.set_mode(2)
+    bench.run(0.2)
+    bench.says(bench.pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
+    bench.run(0.03)
+    assert bench.state.authority is Authority.STOPPED
+    assert bench.state.text == "disarmed by pilot or failsafe"
+    bench.armed = ours  # the service disarms with it; the driver does not depend on that
+    if rearmed:
+        bench.says(bench.pilot.command_long_encode(1, 1, 400, 0, 1, 21196, 0, 0, 0, 0, 0))
+    bench.run(later_s)
+    bench.set_mode(19)
+    bench.run(7.0)
+    assert bench.below.armed is rearmed
+    assert bench.below.servos_us == NEUTRAL and not bench.overrides
+    assert not bench.state.acts
+
+
 def test_a_process_that_dies_leaves_the_thrusters_to_its_failsafe(bench: Bench) -> None:
     bench.fly()
     assert bench.below.servos_us != NEUTRAL

@@ -87,6 +87,23 @@ def test_a_device_that_says_nothing_is_silent_and_then_works() -> None:
     sensor.close()
 
 
+def test_a_device_that_opens_without_anybody_there_is_no_news_until_it_is_heard() -> None:
+    plug = Plug()
+    sensor = SteadySensor(plug, "Sonar")
+    _run(sensor, 0.0, 1.0)
+    plug.speaks = False
+    for begin_s in range(1, 31, 5):  # given up for its silence, and opened again
+        _run(sensor, begin_s, begin_s + 5)
+        sensor.lose(1_000_000 * (begin_s + 5), "silent; check the cable")
+    assert plug.opened > 5
+    texts = [text for _, text in sensor.take_notices()]
+    assert texts == ["Sonar: silent: check power and settings", "Sonar: down: silent; check the cable"]
+    plug.speaks = True
+    _run(sensor, 31.0, 42.0)
+    assert [text for _, text in sensor.take_notices()] == ["Sonar: reconnected"]
+    sensor.close()
+
+
 def test_an_output_that_is_away_says_so_at_every_write() -> None:
     plug = Plug()
     output = SteadyOutput(plug, "Thrusters")

@@ -101,6 +101,24 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     assert flight.world.truth.contact_count == touched
 
 
+@pytest.mark.parametrize("rearmed", [False, True])
+def test_disarmed_by_its_pilot_in_his_mode_the_flight_is_over(tank: Callable[..., Tank], rearmed: bool) -> None:
+    flight = tank(PILOT_BACK=1.0)
+    commander = flight.session.parts.commander
+    flight.run(_flies, 60.0)
+    flight.pilot_mode(2)
+    flight.run(lambda _: flight.reported("Pilot has control (ALT_HOLD)"), 0.1)
+    flight.pilot(flight._pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
+    flight.run(lambda outputs: not outputs.mode.armed, 0.1)
+    flight.run(lambda _: flight.reported("Flight controller disarmed"), 0.1)
+    if rearmed:
+        flight.pilot(flight._pilot.command_long_encode(1, 1, 400, 0, 1, 21196, 0, 0, 0, 0, 0))
+    flight.pilot_mode(19)
+    end_us = flight._t_us + 7_000_000
+    flight.run(lambda outputs: outputs.t_us >= end_us, 8.0)
+    assert flight.below.armed is rearmed and not commander.armed
+
+
 def test_what_is_refused_at_first_is_armed_later_though_thrust_is_wanted_meanwhile(tank: Callable[..., Tank]) -> None:
     """It arms with neutral channels only."""
     flight = tank()

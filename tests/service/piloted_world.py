@@ -19,6 +19,7 @@ PILLARS = ((-0.625, -0.625), (0.9375, 0.0))
 OFFBOARD, HOLD, MANUAL, ALTITUDE, POSITION, STABILIZED, TAKEOFF, ORBIT = (
     (main << 16) | (sub << 24) for main, sub in ((6, 0), (4, 3), (1, 0), (2, 0), (3, 0), (7, 0), (4, 2), (3, 1))
 )
+MISSION, RETURN, SURFACE = (4 << 16 | sub << 24 for sub in (4, 5, 6))
 
 
 class PilotedWorld(ServiceWorld):

@@ -10,10 +10,13 @@ from piloted_world import (
     ALTITUDE,
     HOLD,
     MANUAL,
+    MISSION,
     OFFBOARD,
     ORBIT,
     POSITION,
+    RETURN,
     STABILIZED,
+    SURFACE,
     TAKEOFF,
     PilotedWorld,
     mav,
@@ -21,6 +24,7 @@ from piloted_world import (
     velocity,
 )
 
+from autopilot.core.messages import Failsafe
 from autopilot.mavlink.api import FlightMode
 
 ACCEPTED, DENIED = 0, 2
@@ -237,6 +241,31 @@ def test_manual_is_thrust_and_stabilize_holds_the_heading_without_a_position() -
     assert world.x[3] - heading > 0.4
     assert world.mode(POSITION) == DENIED
     assert world.step_n() <= 3.0
+
+
+def test_a_pilot_without_a_position_is_not_let_go_of() -> None:
+    world = blind(ALTITUDE)
+    world.steer(1.0)
+    for mode in (HOLD, MISSION, RETURN, TAKEOFF, ORBIT, POSITION):
+        world.inbox.clear()
+        assert world.mode(mode) == DENIED
+        assert "denied: no position, use STABILIZE" in world.texts()
+    assert world.command(300) == DENIED  # mission start
+    assert world.custom_mode == ALTITUDE
+    assert world.mode(SURFACE) == ACCEPTED
+    world.fixes = True
+    world.run(5.0)
+    assert world.mode(ALTITUDE) == world.mode(HOLD) == ACCEPTED
+
+
+def test_a_vehicle_that_never_had_a_position_is_not_left_to_drift() -> None:
+    world = PilotedWorld(fixes=False, depth=True)
+    world.run(1.0)
+    assert world.parts.commander.arm(force=True).result == ACCEPTED
+    assert world.run(4.5).mode.custom_mode == HOLD
+    outputs = world.run(1.0)
+    assert outputs.mode.custom_mode == SURFACE and outputs.mode.failsafes == 1 << Failsafe.NAV_LOST
+    assert outputs.command.thrust_n.any()
 
 
 def test_a_position_that_is_lost_does_not_take_the_sticks_away_and_one_that_comes_back_is_no_jolt() -> None:

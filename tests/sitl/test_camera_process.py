@@ -8,9 +8,11 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import click
 import msgspec
 import numpy as np
 import psutil
@@ -18,6 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from autopilot.cli.emulate import emulate
+from autopilot.cli.physics import physics
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
@@ -161,9 +164,9 @@ def test_an_emulated_vehicle_has_a_camera(tmp_path: Path) -> None:
     command = autopilot_command("emulate", "paper-tank", *places)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None and process.stdout is not None
-        told = process.stderr.readline()
-        url = told.split('source = "')[1].split('"')[0]
-        with OpenCvCamera(VEHICLE, OpenCvCameraOptions(source=url)) as camera:
+        told = tomllib.loads("".join(process.stderr.readline() for _ in range(4)))["devices"]["camera"]
+        assert told.pop("driver") == "opencv"
+        with OpenCvCamera(VEHICLE, OpenCvCameraOptions(**told)) as camera:
             for tick in range(3000):
                 if frames := camera.poll(10_000 * tick):
                     break
@@ -187,6 +190,23 @@ def test_the_floor_of_a_scenario_is_a_map_for_a_configuration(tmp_path: Path) ->
     read, meant = load_marker_map(tmp_path / "floor.toml"), given_markers(load_scenario("paper-tank"))
     assert meant is not None and read.ids.tolist() == meant.ids.tolist()
     assert np.abs(read.corners_ned_m - meant.corners_ned_m).max() < 2e-6
+
+
+@pytest.mark.parametrize("command", [emulate, physics])
+@pytest.mark.parametrize(
+    ("arguments", "wrong"),
+    [
+        (("--frame", "vectored_6dof"), "vectored_6dof has motors 1 to 8; use --vehicle bluerov2 with"),
+        (("--vehicle", "lbv150"), "vehicle 'lbv150': ArduSub's frame vectored has motors 1 to 6"),
+        (("--truth", "/nodir/x"), "--truth /nodir/x: cannot be written (No such file or directory)"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_before_anything_is_opened(
+    command: click.Command, arguments: tuple[str, ...], wrong: str
+) -> None:
+    done = CliRunner().invoke(command, (*arguments, "--camera", "127.0.0.1:0", "--pose", "udpin:192.0.2.1:9"))
+    assert isinstance(done.exception, ConfigError) and wrong in str(done.exception)
+    assert "[devices.camera]" not in done.output
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def autopilot(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: py
     monkeypatch.setenv("AUTOPILOT_LOG_DIR", str(tmp_path / "logs"))
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     interval = sys.getswitchinterval()
 
     def call(*arguments: str) -> Done:

@@ -31,7 +31,8 @@ def _rov(folder: Path) -> Path:
     return _file(folder, text + f'connect = ["udpin:127.0.0.1:{free_port()}"]\n' + ARDUSUB.format(port=free_port()))
 
 
-def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_with_a_whole_log(tmp_path: Path, number: int) -> None:
     log = tmp_path / "run.mcap"
     command = autopilot_command("run", "--config", str(_rov(tmp_path)), "--log", str(log))
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
@@ -39,11 +40,27 @@ def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:
         for line in process.stdout:
             if "MAVLink on" in line:
                 break
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         rest = process.stdout.read()
     assert process.returncode == 0, rest
     assert "overruns" in rest
     assert open_log(log).topics  # closed, not recovered
+
+
+def test_a_state_folder_is_one_services_even_after_it_was_killed(tmp_path: Path) -> None:
+    command = autopilot_command("run", "--config", str(_rov(tmp_path)))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "MAVLink on" in line:
+                break
+        again = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert again.returncode == 1 and again.stderr.count("\n") == 1
+        assert f"{tmp_path / 'state' / 'bluerov2-0'}: another service" in again.stderr
+        assert "another --instance or state_dir" in again.stderr
+        process.kill()
+    done = subprocess.run((*command, "--duration", "0.2"), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_doctor_says_what_is_not_there_and_what_to_do(tmp_path: Path) -> None:
@@ -99,6 +116,22 @@ def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
     assert "$.devices.sonar" in json.loads(done.stdout)[0]["found"]
 
 
+def test_a_file_with_a_byte_order_mark_and_links_beside_each_other_is_sound(tmp_path: Path) -> None:
+    text = 'vehicle = "bluerov2"\n[service]\nconnect = ["udpin:127.0.0.1:14556", "udpout:127.0.0.1:14555"]\n'
+    path = _file(tmp_path, "")
+    path.write_text(text + ARDUSUB.replace("{port}", "14555"), encoding="utf-8-sig")
+    assert load_config(str(path)).vehicle.name == "bluerov2"
+
+
+def test_a_state_folder_that_is_a_file_is_named_with_a_remedy(tmp_path: Path) -> None:
+    config = _rov(tmp_path)
+    (tmp_path / "state").write_text("")
+    done = subprocess.run(
+        autopilot_command("run", "--config", str(config)), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1 and f"{tmp_path / 'state'}: is not a folder; set state_dir to one" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
@@ -115,6 +148,22 @@ def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
         (
             'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = -5'),
             "$.devices.flight_controller.surface_pa",
+        ),
+        (
+            'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = 1013.25'),
+            "`surface_pa` = 1013.25 Pa; use 50000 to 120000 Pa",
+        ),
+        ('vehicle = "bluerov2"\n[service]\nconnect = []\n' + ARDUSUB, "`connect` is empty"),
+        (
+            'vehicle = "bluerov2"\n[service]\nconnect = ["udpin:0.0.0.0:14555"]\n' + ARDUSUB,
+            "`$.service.connect` and `$.devices.flight_controller.connect` both listen on UDP port 14555",
+        ),
+        *(
+            (
+                'vehicle = "bluerov2"\n' + ARDUSUB.replace("udpin:127.0.0.1:{port}", wrong),
+                "flight_controller`: connection",
+            )
+            for wrong in ("0.0.0.0:21555", "udpin:0.0.0.0", "udpout::21555", "")
         ),
         ('vehicle = "bluerov2"\n' + ARDUSUB.replace('"ardusub"', '"ardupilot"'), "$.devices.flight_controller.driver"),
         ('vehicle = "bluerov2"\n[devices.flight_controller]\nframe = "vectored"\n', "names no `driver`"),

@@ -24,6 +24,10 @@ def denied(reason: str) -> CommandReply:
     return CommandReply(result=CommandResult.DENIED, reason=reason)
 
 
+def no_position(mode: FlightMode) -> CommandReply:
+    return denied(f"{mode.name} denied: no position, use STABILIZE")
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeContext:
     vehicle: Vehicle
@@ -81,7 +85,7 @@ class FlightModeBehaviour:
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Why it cannot be entered, None if it can. ``status`` is None before the first tick."""
         if self.steered and self.needs_position and armed and status is not None and status.estimate is None:
-            return denied(f"{self.name.name} denied: no position, use STABILIZE")
+            return no_position(self.name)
         return None
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
