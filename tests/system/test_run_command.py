@@ -35,7 +35,12 @@ def _rov(folder: Path) -> Path:
 def test_a_signal_ends_a_run_with_a_whole_log(tmp_path: Path, number: int) -> None:
     log = tmp_path / "run.mcap"
     command = autopilot_command("run", "--config", str(_rov(tmp_path)), "--log", str(log))
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    ours = signal.signal(number, signal.SIG_DFL)  # ignored, it would be in the child, too: these tests may run by nohup
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    finally:
+        signal.signal(number, ours)
+    with process:
         assert process.stdout is not None
         for line in process.stdout:
             if "MAVLink on" in line:
