@@ -217,11 +217,17 @@ def _tell(opened: "Log", result: "ReplayResult", *, as_json: bool) -> None:
             click.echo(f"  and {len(result.differences) - SHOWN} more (--json lists all)")
     for remark in result.remarks:
         click.echo(f"not compared: {remark}", err=True)
-    for problem in (*opened.problems, *((result.stopped,) if result.stopped else ())):
+    _end(opened, result.same, *((result.stopped,) if result.stopped else ()))
+
+
+def _end(opened: "Log", same: bool, *stopped: str) -> None:
+    """Warn of what was not replayed; the exit code."""
+    problems = (*opened.problems, *stopped)
+    for problem in problems:
         click.echo(f"warning: {opened.path}: {problem}; replayed is what comes before", err=True)
-    if not result.same:
+    if not same:
         raise click.exceptions.Exit(EXIT_FAILED)
-    if result.stopped or opened.problems:
+    if problems:
         raise click.exceptions.Exit(EXIT_LOSS)
 
 
@@ -261,9 +267,4 @@ def _estimator_alone(
             click.echo(f"{match.topic}: {match.identical} of {match.logged} messages identical")
             if match.first:
                 click.echo(f"  first difference {match.first}")
-    for problem in opened.problems:
-        click.echo(f"warning: {opened.path}: {problem}; replayed is what comes before", err=True)
-    if not changed and not all(match.same for match in found):
-        raise click.exceptions.Exit(EXIT_FAILED)
-    if opened.problems:
-        raise click.exceptions.Exit(EXIT_LOSS)
+    _end(opened, changed or all(match.same for match in found))

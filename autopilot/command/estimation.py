@@ -43,11 +43,9 @@ class Estimated:
     doubts: frozenset[NavDoubt] = frozenset()
 
 
-_SIZES = {
-    **dict.fromkeys(("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s"), (3,)),
-    "current_ned_m_s": (3,),
-    "variance": (12,),
-}
+_VECTORS = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s")
+_SHAPES = {**dict.fromkeys(_VECTORS, (3,)), "variance": (12,)}
+"""Of a state's arrays."""
 FINITE_AGAIN_US = 1_000_000
 """After so long without one that is not finite."""
 
@@ -109,8 +107,7 @@ class Estimation:
         """Whether an estimate is usable; reports one that is not."""
         if nav is None or nav.health is NavHealth.INVALID:
             return True
-        numbers = (nav.pos_ned_m, nav.rpy_rad, nav.vel_frd_m_s, nav.vel_water_frd_m_s, nav.rate_frd_rad_s)
-        finite = sum([sum(map(abs, part.tolist())) for part in (*numbers, nav.current_ned_m_s)]) < NO_STATE
+        finite = sum([sum(map(abs, getattr(nav, name).tolist())) for name in _VECTORS]) < NO_STATE
         finite = finite and sum(map(abs, nav.variance.tolist())) < NO_STATE**2
         if not finite:
             if self._not_finite_us is None:
@@ -155,7 +152,7 @@ def _shaped(nav: object) -> NavState | None:
         return None
     if not isinstance(nav, NavState) or not isinstance(nav.health, NavHealth):
         raise TypeError(f"step() must return a NavState or None, not {nav!r:.80}")
-    for name, shape in _SIZES.items():
+    for name, shape in _SHAPES.items():
         part = getattr(nav, name)
         if not isinstance(part, np.ndarray) or part.shape != shape or part.dtype.kind not in "fiu":
             raise TypeError(f"{name} must be an array {shape} of numbers, not {part!r:.80}")

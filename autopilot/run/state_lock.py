@@ -1,12 +1,12 @@
 """Lock of a state folder: two services in one would overwrite each other's plans and parameters."""
 
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from autopilot.core.errors import ConfigError
+from autopilot.log.lock import lock_descriptor
 
 
 @contextmanager
@@ -26,15 +26,11 @@ def locked_state(folder: Path) -> Iterator[None]:
 
 
 def _lock(handle: int, folder: Path) -> None:
-    if sys.platform == "win32":
-        return
-    import fcntl
-
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise ConfigError(
-            f"{folder}: another service keeps its state there; stop it, or use another --instance or state_dir"
-        ) from error
+        free = lock_descriptor(handle)
     except OSError:  # a file system without locks
         return
+    if not free:
+        raise ConfigError(
+            f"{folder}: another service keeps its state there; stop it, or use another --instance or state_dir"
+        )
