@@ -144,9 +144,11 @@ class Group:
 
     def _curves_at(self, supply_v: float | None) -> list[list[float]]:
         if self._curves is None or self._curves[0] != supply_v:
-            reach = range(-SPAN_US - SLOPE_US, SPAN_US + SLOPE_US + 1)
-            tables = {law: [law.thrust_n(us, supply_v) for us in reach] for law in self._laws}
-            self._curves = supply_v, [tables[law] for law in self._laws]
+            curves: dict[ThrustLaw, list[float]] = {}
+            for law in dict.fromkeys(self._laws):
+                table = law.thrusts_n(supply_v)
+                curves[law] = [table[0]] * SLOPE_US + [*table] + [table[-1]] * SLOPE_US
+            self._curves = supply_v, [curves[law] for law in self._laws]
         return self._curves[1]
 
 

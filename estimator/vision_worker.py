@@ -26,6 +26,8 @@ SUSPECT_EVERY = 3
 """With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
 not find itself among the markers that should be in view."""
 
+_COUNTERS = tuple(f"frames.{verdict.value}" for verdict in FrameVerdict)
+
 MAX_PENDING = 4
 """Frames that may wait in lockstep; a newer one is dropped and counted when detection cannot follow."""
 
@@ -142,7 +144,7 @@ class VisionWorker:
 
     def counters(self) -> Mapping[str, int]:
         """Frames so far by result: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
-        result = {f"frames.{verdict.value}": count for verdict, count in self._frame_filter.counts.items()}
+        result = dict(zip(_COUNTERS, self._frame_filter.counts.values(), strict=True))
         result["frames.dropped"] = self.dropped
         result["frames.failed"] = self.failed
         if self._paced:

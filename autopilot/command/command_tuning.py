@@ -137,6 +137,8 @@ PHOTOGRAPHER = PhotographerTuning()
 class ServiceTuning:
     warm_at_tick: int = 100
     """A second after the start, when the links are served, the controller has prepared what its first routes need."""
+    serve_after_ticks: int = 2
+    """Clients are served so many ticks after a decision, so that no tick has the work of both."""
     counters_every_ticks: int = 100
     """The estimator's counts go to the log once per second."""
     fixed_us: int = 1_000_000

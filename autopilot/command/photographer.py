@@ -193,7 +193,8 @@ class Photographer:
                 self._sequence = None
 
     def _by_distance(self) -> None:
-        survey, here = self._survey, self._here()
+        survey = self._survey
+        here = None if survey is None else self._here()
         if survey is None or here is None:
             return
         last = survey.place_ned_m

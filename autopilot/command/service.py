@@ -54,7 +54,7 @@ class TickState:
 
     inputs: Inputs
     scheduled: bool
-    """A fifth tick: clients are served and decisions are taken."""
+    """A fifth tick: decisions are taken."""
     acting_n: FloatArray
     """(n,) what sound thrusters give of the thrust that acts now."""
     poses: tuple[ExternalPoseSample | PlanarFixSample, ...] = ()
@@ -132,8 +132,9 @@ class Autopilot:
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
         """Stages of a tick, in order. What needs the rate of the inertial sensors and of the inner loop runs on every
-        tick; clients and decisions on every fifth, as the NMPC in the stage ``controller``, or when they cannot wait.
-        The monitors of the thrusters need every tick: with a fifth of them half a thruster is not found.
+        tick; decisions on every fifth, as the NMPC in the stage ``controller``, and clients on another fifth, or when
+        they cannot wait. The monitors of the thrusters need every tick: with a fifth of them half a thruster is not
+        found.
         """
         serves, decides = self._serves, self._decides
         return (
@@ -213,7 +214,8 @@ class Autopilot:
     def _serves(self, tick: TickState) -> bool:
         """Whether clients are served: a message, a notice or a transfer under way does not wait."""
         news = tick.inputs.mavlink_rx or tick.inputs.notices or self._unsent
-        return tick.scheduled or bool(news) or self._parts.server.busy
+        scheduled = self._tick % DECISION_TICKS == SERVICE.serve_after_ticks
+        return scheduled or bool(news) or self._parts.server.busy
 
     def _decides(self, tick: TickState) -> bool:
         """Whether decisions are taken: a client's order or a device that fails does not wait. Traffic alone does not

@@ -43,6 +43,11 @@ class ThrustLaw(ABC):
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
         """Steady thrust [N] of an offset."""
 
+    def thrusts_n(self, supply_v: float | None) -> Sequence[float]:
+        """(2 span + 1) thrust of every whole offset, from full astern on [N]. Not to be written to."""
+        span = self.drive.span_us
+        return [self.thrust_n(offset, supply_v) for offset in range(-span, span + 1)]
+
     def capability_n(self, supply_v: float | None) -> float:
         """Largest thrust that both directions reach."""
         span = self.drive.span_us
@@ -104,8 +109,8 @@ class CurveLaw(ThrustLaw):
         self._table_v = math.nan
         self._table = self._ahead = self._astern = [0.0]
 
-    def _at(self, supply_v: float | None) -> list[float]:
-        """Thrust over offset (2 span + 1) at a voltage; kept for the next question, which comes with the same one."""
+    def thrusts_n(self, supply_v: float | None) -> Sequence[float]:
+        """See :meth:`ThrustLaw.thrusts_n`; kept for the next question, which comes with the same voltage."""
         supply = self.supply(supply_v)
         if supply != self._table_v:
             low, high = self._supplies[0], self._supplies[-1]
@@ -123,7 +128,7 @@ class CurveLaw(ThrustLaw):
 
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
         """The whole pulse whose thrust is nearest."""
-        self._at(supply_v)
+        self.thrusts_n(supply_v)
         side, span = self._ahead if thrust_n > 0.0 else self._astern, self.drive.span_us
         wanted = min(abs(thrust_n), limit_n)
         edge = bisect.bisect_right(side, 0.0)
@@ -136,7 +141,7 @@ class CurveLaw(ThrustLaw):
 
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
         span = self.drive.span_us
-        return self._at(supply_v)[max(-span, min(span, offset_us)) + span]
+        return self.thrusts_n(supply_v)[max(-span, min(span, offset_us)) + span]
 
 
 def law_of(drive: ThrusterDrive) -> ThrustLaw:

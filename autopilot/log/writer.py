@@ -39,6 +39,8 @@ QUEUE_BYTES = 64 * 1024 * 1024
 POLL_S = 0.02
 """The thread empties the queue this often: one switch of threads for many messages."""
 LIBRARY = "underwater-autopilot"
+NO_FILE = Path()
+"""Path of a log whose file is still being made."""
 
 QOS_PROFILES = (
     "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n"
@@ -123,7 +125,7 @@ class LogWriter:
         An error in creating the file is in ``failure``.
         """
         writer = cls.__new__(cls)
-        writer._prepare(Path(), epoch_ns, False, queue_messages, queue_bytes)
+        writer._prepare(NO_FILE, epoch_ns, False, queue_messages, queue_bytes)
         writer._head = head
         writer._thread.start()
         return writer

@@ -52,18 +52,17 @@ class HardwareVehicle:
                 self._sensors[kind] = SteadySensor(device, NAMES[kind])
         device = None if self._output is None else self._output.device
         self._watched = device if isinstance(device, WatchedOutput) else None
+        self._driven_payload = device if isinstance(device, PayloadOutput) else None
+        rest = (self._camera, self._output)
+        self.devices: tuple[RetryingDevice[Any], ...] = (*self._sensors.values(), *(each for each in rest if each))
         self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
         self._tilt = TiltReports(vehicle)
         self._payload_us: tuple[int, ...] = ()
         """As the thruster output drives the payload; a flight controller reports for itself what it does."""
+        self._found_below: FlightControllerState | None = None
         self._early: list[Sample] = []
         """Samples with a time stamp later than the present tick."""
-
-    @property
-    def devices(self) -> tuple[RetryingDevice[Any], ...]:
-        rest = (self._camera, self._output)
-        return (*self._sensors.values(), *(device for device in rest if device is not None))
 
     def advance(self, t_us: int) -> None:
         """Commands that have become too old stop the thrusters."""
@@ -73,6 +72,7 @@ class HardwareVehicle:
 
     def poll(self, t_us: int) -> Sequence[Sample]:
         samples: list[Sample] = []
+        self._found_below = None
         if self._below is not None:
             found = self._below.poll(t_us)
             passed = self._passed_over
@@ -101,14 +101,13 @@ class HardwareVehicle:
     @property
     def unwired(self) -> dict[str, str]:
         """Payload without an output here, by name, with the reason."""
-        device = None if self._output is None else self._output.device
-        return device.unwired() if isinstance(device, PayloadOutput) else {}
+        return {} if self._driven_payload is None else self._driven_payload.unwired()
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
         """Drive the payload outputs; waits while the output is disconnected."""
-        output = self._output
-        if output is not None and isinstance(output.device, PayloadOutput) and output.attend(t_us):
-            output.device.set_payload(t_us, state.pulses_us)
+        output, payload = self._output, self._driven_payload
+        if output is not None and payload is not None and output.attend(t_us):
+            payload.set_payload(t_us, state.pulses_us)
             self._payload_us = () if self._below is not None else state.pulses_us
 
     def hand_back(self, t_us: int) -> None:
@@ -129,14 +128,16 @@ class HardwareVehicle:
         return controller.use(t_us, lambda: controller.device.stand_down(t_us), False)
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """State of the flight controller, None without one."""
+        """State of the flight controller after the tick's :meth:`poll`, None without one."""
         if self._below is None:
             return None
-        below = self._below.device.below(t_us)
-        if self._below.attend(t_us):
-            return below
-        text = f"flight controller down: {self._below.problem}"
-        return replace(below, acts=False, refusals=(text,), pulses_us=(), armed=None, rival=False)
+        if self._found_below is None or self._found_below.t_us != t_us:
+            found = self._below.device.below(t_us)
+            if not self._below.attend(t_us):
+                text = f"flight controller down: {self._below.problem}"
+                found = replace(found, acts=False, refusals=(text,), pulses_us=(), armed=None, rival=False)
+            self._found_below = found
+        return self._found_below
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
         """Reasons against arming: configured devices that are missing, one line each."""

@@ -17,7 +17,7 @@ from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import LoggedTruth, RunLog, SimulationRecord
-from autopilot.log.writer import Payload
+from autopilot.log.writer import NO_FILE, Payload
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""
@@ -94,7 +94,7 @@ class RunRecorder(NoticeQueue):
     def path(self) -> Path | None:
         """Path of the present log, None without one (or while it is being created in the background)."""
         log = self._log
-        return None if log is None or log.failure is not None or log.path == Path() else log.path
+        return None if log is None or log.failure is not None or log.path == NO_FILE else log.path
 
     def still(self, exposure_us: int, png: bytes) -> None:
         if self._log is not None:

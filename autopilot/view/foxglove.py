@@ -9,7 +9,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from pathlib import Path
 from typing import Any
 
 from autopilot.core.errors import ConfigError, LogError
@@ -20,7 +19,7 @@ from autopilot.log.log_session import RunLog
 from autopilot.log.record_table import TruthLike
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, definition, ros_name
 from autopilot.log.topics import AID_PREFIX, TOPICS, type_of
-from autopilot.log.writer import Payload, Work
+from autopilot.log.writer import NO_FILE, Payload, Work
 
 QUEUE = 5000
 """Messages that wait for the thread, some seconds of them; the oldest go."""
@@ -135,7 +134,7 @@ class _Listener:
 
 
 class _Messages:
-    path, dropped, queued, failure, cause, finished = Path(), 0, (0, 0), None, "", False
+    path, dropped, queued, failure, cause, finished = NO_FILE, 0, (0, 0), None, "", False
 
     def __init__(self, server: FoxgloveServer, epoch_ns: int) -> None:
         self.epoch_ns = epoch_ns

@@ -6,6 +6,7 @@ Combines the thruster curve, the effectiveness of each thruster and the command 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,18 @@ NO_LIFT = 1e-6
 """Less than this of a newton per newton of heave is rounding."""
 
 
+class _Limits(NamedTuple):
+    """Thrust (n,) [N] that is attainable, what of it stabilisation leaves, and what of this THR_LIMIT; of the sound
+    thrusters' capability, effectiveness and THR_LIMIT by which they were found."""
+
+    sound_n: FloatArray
+    effectiveness: FloatArray
+    limit_n: float
+    can_n: FloatArray
+    free_n: FloatArray
+    command_n: FloatArray
+
+
 class Actuation:
     """All n thrusters of a vehicle, in the order of its file."""
 
@@ -42,6 +55,7 @@ class Actuation:
         self.allocation = Allocation(vehicle.thrusters)
         self.supply_v: float | None = None
         """Measured voltage, None = nominal."""
+        self._limits = self._limits_of(self.allocation.capability_n(), self._losses.effectiveness, math.inf)
 
     def nothing(self) -> FloatArray:
         """Zero thrust (n,)."""
@@ -86,20 +100,30 @@ class Actuation:
     @property
     def limit_n(self) -> FloatArray:
         """(n,) thrust limits of the controller [N] at the present supply voltage, after faults and the part reserved
-        for attitude stabilisation.
+        for attitude stabilisation. Not to be written to.
         """
-        can_n = self._can_n
-        return can_n - self._levelling.reserve_n(can_n)
+        return self._present_limits.free_n
 
     @property
     def command_limit_n(self) -> FloatArray:
-        """(n,) the same within THR_LIMIT: the bounds of every command."""
-        return np.minimum(self.limit_n, self._params["THR_LIMIT"])
+        """(n,) the same within THR_LIMIT: the bounds of every command. Not to be written to."""
+        return self._present_limits.command_n
 
     @property
-    def _can_n(self) -> FloatArray:
-        """(n,) attainable thrust [N]."""
-        return self.allocation.capability_n(self.supply_v) * self._losses.effectiveness
+    def _present_limits(self) -> "_Limits":
+        sound_n, effectiveness = self.allocation.capability_n(self.supply_v), self._losses.effectiveness
+        last, limit_n = self._limits, self._params["THR_LIMIT"]
+        if last.sound_n is not sound_n or last.effectiveness is not effectiveness or last.limit_n != limit_n:
+            self._limits = self._limits_of(sound_n, effectiveness, limit_n)
+        return self._limits
+
+    def _limits_of(self, sound_n: FloatArray, effectiveness: FloatArray, limit_n: float) -> "_Limits":
+        can_n = sound_n * effectiveness
+        free_n = can_n - self._levelling.reserve_n(can_n)
+        found = _Limits(sound_n, effectiveness, limit_n, can_n, free_n, np.minimum(free_n, limit_n))
+        for each_n in (found.can_n, found.free_n, found.command_n):
+            each_n.setflags(write=False)
+        return found
 
     def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
         """The estimate for the controller: just after a delay has been found with the current of before."""
@@ -161,7 +185,8 @@ class Actuation:
             return self._command(t_us, self._pulse_n, self.allocation.neutral_us)
         if levels and self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
-            thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, self.command_limit_n, tilt, turning)
+            limits = self._present_limits
+            thrust_n = self._levelling.thrust_n(thrust_n, limits.can_n, limits.command_n, tilt, turning)
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.effectiveness)

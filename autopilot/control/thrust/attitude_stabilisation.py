@@ -117,7 +117,7 @@ class AttitudeStabilizer:
         self, wanted_n: FloatArray, limit_n: FloatArray, forces: FloatArray, rpy_rad: FloatArray
     ) -> FloatArray:
         """(n,) with which the tilted vehicle is pushed as ``wanted_n`` pushes a level one."""
-        roll, pitch = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
+        roll, pitch = (min(max(angle, -MOST_TILT_RAD), MOST_TILT_RAD) for angle in rpy_rad[:2].tolist())
         force = self._controlled[:3] @ wanted_n
         more: FloatArray = forces @ (r_ned_from_frd(np.array((roll, pitch, 0.0))).T @ force - force)
         fraction = _fraction(more, limit_n - wanted_n * np.sign(more))
@@ -128,7 +128,7 @@ class AttitudeStabilizer:
     ) -> FloatArray:
         """(n,) with the thrust that damps the tilts which swing freely; it turns no thruster round."""
         swing = self._swing_rad_s + ATTITUDE_STABILISATION.swing_gain * (rate_frd_rad_s[:2] - self._swing_rad_s)
-        if not np.isfinite(swing).all():
+        if not all(map(math.isfinite, swing.tolist())):
             return wanted_n
         self._swing_rad_s = swing
         damping = 2.0 * ATTITUDE_STABILISATION.damping * self._rate_rad_s * self._inertia
