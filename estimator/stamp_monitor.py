@@ -133,10 +133,10 @@ class StampMonitor:
             return False
         fresh = min(1.0, 1e-6 * (now_us - self._last_us) / (1e-6 * STAMP_MONITOR.window_us))
         recent = (1.0 - fresh) * self._last + window
-        moved = self._against(recent) > STAMP_MONITOR.sure and self._known()
+        moved = _against(recent, self.late_s) > STAMP_MONITOR.sure and self._known()
         cost = recent if moved else self._old + recent
-        before_s = self.late_s
-        sudden = self._usual_heading.count >= STAMP_MONITOR.settled_count and self._against(window) > STAMP_MONITOR.sure
+        before_s, earlier = self.late_s, self._old
+        sudden = self._usual_heading.count >= STAMP_MONITOR.settled_count and _against(window, self.late_s) > STAMP_MONITOR.sure
         changed = self._judge(cost)
         if fresh == 1.0 and (changed or not sudden):  # evidence that may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_MONITOR.forget_s) if self._last_us else 0.0
@@ -147,16 +147,13 @@ class StampMonitor:
         if changed:
             if moved:
                 self._old = np.zeros(len(GRID_S))
-            if moved or self._moved_known:
+            # If earlier windows allow the new delay as well, it has been found, and has not moved.
+            if (moved and _against(earlier, self.late_s) > STAMP_MONITOR.sure) or self._moved_known:
                 self.jumped_s += self.late_s - before_s
             self._ages.put_right(self.late_s - before_s)
-        if changed or float(np.interp(self.late_s + self._moved_s, GRID_S, cost)) - cost.min() > STAMP_MONITOR.sure:
+        if changed or _against(cost, self.late_s + self._moved_s) > STAMP_MONITOR.sure:
             self._moved_s, self._moved_known = 0.0, False
         return changed
-
-    def _against(self, cost: FloatArray) -> float:
-        """Evidence against the delay in use."""
-        return float(np.interp(self.late_s, GRID_S, cost) - cost.min())
 
     def _known(self) -> bool:
         """Whether earlier windows have shown how late stamps are."""
@@ -167,7 +164,7 @@ class StampMonitor:
 
     def _judge(self, cost: FloatArray) -> bool:
         k = int(cost.argmin())
-        against = self._against(cost)
+        against = _against(cost, self.late_s)
         if not 0 < k < len(GRID_S) - 1:
             self._explains = against > STAMP_MONITOR.suspected
             return False
@@ -261,6 +258,11 @@ class StampMonitor:
             STAMP_MONITOR.floor_m
         )
         return result if np.isfinite(result).all() else None
+
+
+def _against(cost: FloatArray, delay_s: float) -> float:
+    """Evidence of costs (g,) against a delay."""
+    return float(np.interp(delay_s, GRID_S, cost) - cost.min())
 
 
 class _Goodness(NamedTuple):

@@ -248,8 +248,11 @@ class _Steps:
         if step_us <= 0:
             return
         self._last.append(step_us)
-        single_us = sorted(self._last)[len(self._last) // 4]  # many are longer, where samples are lost
-        self.usual_us = median(step_us / max(1, round(step_us / single_us)) for step_us in self._last)
+        steps_us: list[float] = sorted(self._last)
+        single_us = steps_us[len(steps_us) // 4]  # many are longer, where samples are lost
+        if steps_us[-1] >= 1.5 * single_us:
+            steps_us = [step_us / max(1, round(step_us / single_us)) for step_us in steps_us]
+        self.usual_us = float(median(steps_us))
         self.lossless = self.lossless + 1 if step_us < 1.5 * self.usual_us else 0
         if self.lossless:
             self._deviation_us += (abs(step_us - self.usual_us) - self._deviation_us) / STEPS

@@ -11,7 +11,7 @@ from makers import Make
 from truth import Track, rms
 
 from autopilot.core.camera import CameraModel
-from autopilot.core.frames import r_ned_from_frd
+from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.core.samples import MarkerSighting, PoseSample
@@ -25,6 +25,7 @@ from autopilot.estimator.states import NX, FilterState
 from tests.bench.calibrations import drawn, uncertain_map, with_camera
 
 SOME = np.random.default_rng(20261122)
+GENTLE_US, GENTLE_SHARE = 4_000_000, 0.05
 JUMP_US = 8_000_000
 """When a camera's clock is set."""
 
@@ -128,6 +129,20 @@ def test_stamps_that_jump_in_flight_are_told_within_seconds(make_ekf: Make, floo
     assert silent < 50, "called good for half a second in which it was not"
     assert last is not None and last < 0.003
     assert estimator.counters()["stamps.retimed"] <= 4
+
+
+class GentleWorld(LaidWorld):
+    """It moves little at first: that shows that stamps are not far off, and not yet by how much."""
+
+    def _command(self) -> FloatArray:
+        share = GENTLE_SHARE if self.t_us < GENTLE_US else 1.0
+        return np.array([share, share, 1.0, share]) * super()._command()
+
+
+@pytest.mark.parametrize("late_ms", [18, 26, 34])
+def test_stamps_that_were_late_from_the_first_have_not_jumped(make_ekf: Make, floor: MarkerMap, late_ms: int) -> None:
+    _, told = flown(make_ekf(markers=floor), GentleWorld(floor, late_ms, stamped_late_us=1000 * late_ms), 8.0)
+    assert [" ms late: " in text for text in told] == [True]
 
 
 def test_pictures_that_only_come_later_are_no_jump(make_ekf: Make, floor: MarkerMap) -> None:
