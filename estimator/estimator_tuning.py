@@ -537,6 +537,20 @@ class VisionTuning:
     centimetres and degrees of error. Close to the floor a centimetre is many pixels."""
     most_expected: int = 64
     """Of an image with more only the middle is searched: time grows with their number, and a sighting holds 64."""
+    many: int = 24
+    """From so many expected markers on a few guides in the middle are detected, and tell where the others are,"""
+    guides: int = 9
+    """as many as this expected,"""
+    least_guides: int = 4
+    """and this found;"""
+    placed_fit: float = 0.7
+    """those others count of whose cells the correlation with the pattern is this high,"""
+    placed_px: float = 2.5
+    """and whose corners are no further from there;"""
+    placed_rounds: int = 2
+    """these in turn tell where the rest is,"""
+    most_left: float = 0.5
+    """and all markers are detected where, of those found so, more than this share is left."""
     middle: float = 0.5
     enough: int = 6
     """A quick search without a hint tries this share of the image's width and height first, and ends with so many

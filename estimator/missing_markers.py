@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import IntArray
@@ -23,6 +24,10 @@ class Found(NamedTuple):
             return more if len(more.ids) else self
         new = ~(self._near(more.quads) & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
         return Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
+
+    def since(self, first: int) -> "Found":
+        """Those from the one of that number on."""
+        return Found(self.ids[first:], self.quads[first:])
 
     def elsewhere(self, quads: Any) -> Any:
         """Those quadrilaterals (m, 4, 2), largest first, that are not where a marker was found."""
@@ -46,19 +51,22 @@ class Missing(NamedTuple):
     """and the error of that."""
 
 
+def nearest_of(ids: IntArray, predicted: FloatArray, found: Found) -> IntArray:
+    """(n,) for each found marker the nearest one of its id of those predicted (m,)."""
+    apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
+    far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
+    return np.asarray(far.argmin(axis=1), dtype=np.int64)
+
+
 def missing_markers(ids: IntArray, predicted: FloatArray, found: Found, shape: tuple[int, ...]) -> Missing:
     """The markers that were found give the error of the prediction."""
     if not len(found.ids):
         return Missing(ids, predicted, VISION.hint_margin_px)
-    # Associate each found marker with the nearest predicted one of its id.
-    apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
-    far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
-    nearest = far.argmin(axis=1)
+    nearest = nearest_of(ids, predicted, found)
     here, spread_px = _moved(predicted, nearest, found.quads)
     missing = np.ones(len(ids), dtype=bool)
     missing[nearest] = False
-    last_px = np.array(shape[::-1]) - 1.0 - VISION.whole_px
-    missing &= ((here >= VISION.whole_px) & (here <= last_px)).all(axis=(1, 2))
+    missing &= inside(here, shape, VISION.whole_px)
     return Missing(ids[missing], here[missing], spread_px)
 
 
@@ -74,6 +82,12 @@ def areas_of(left: Missing, found: Found, shape: tuple[int, ...]) -> list[tuple[
     if len(low) > VISION.most_areas or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
         low, high = low.min(axis=0)[None], high.max(axis=0)[None]
     return [(x, y, right, bottom) for (x, y), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)]
+
+
+def inside(quads: Any, shape: tuple[int, ...], border_px: float) -> NDArray[np.bool_]:
+    """(n,) which quadrilaterals (n, 4, 2) are that far inside of an image."""
+    last_px = np.array(shape[::-1]) - 1.0 - border_px
+    return np.asarray(((quads >= border_px) & (quads <= last_px)).all(axis=(1, 2)))
 
 
 def perimeters_px(quads: Any) -> FloatArray:

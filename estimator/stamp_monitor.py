@@ -136,7 +136,8 @@ class StampMonitor:
         moved = _against(recent, self.late_s) > STAMP_MONITOR.sure and self._known()
         cost = recent if moved else self._old + recent
         before_s, earlier = self.late_s, self._old
-        sudden = self._usual_heading.count >= STAMP_MONITOR.settled_count and _against(window, self.late_s) > STAMP_MONITOR.sure
+        settled = self._usual_heading.count >= STAMP_MONITOR.settled_count
+        sudden = settled and _against(window, self.late_s) > STAMP_MONITOR.sure
         changed = self._judge(cost)
         if fresh == 1.0 and (changed or not sudden):  # evidence that may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_MONITOR.forget_s) if self._last_us else 0.0

@@ -29,7 +29,15 @@ from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from autopilot.estimator.estimator_tuning import SECOND_LOOK, VISION
 from autopilot.estimator.laser_detector import find_dot
 from autopilot.estimator.marker_image import corner_sigma_px, marker_images, patterns_of
-from autopilot.estimator.missing_markers import Found, areas_of, missing_markers, perimeters_px
+from autopilot.estimator.missing_markers import (
+    Found,
+    Missing,
+    areas_of,
+    inside,
+    missing_markers,
+    nearest_of,
+    perimeters_px,
+)
 from autopilot.estimator.second_look import BoolArray, near_predicted, read_again
 
 EXACT = ("DICT_APRILTAG_16h5",)
@@ -138,17 +146,16 @@ class MarkerDetector:
             max(float(sides_px.max()), VISION.min_side_px),
         )
         smooth = _smoothed(grey, least_px / cells) if hazy else grey
-        # Noise makes thousands of contours, which cost more than the markers: halve where the cells are large enough.
-        halved = least_px >= VISION.half_cell_px * cells
-        scale = 2.0 if halved else 1.0
-        smaller = cv2.pyrDown(smooth) if halved else smooth
-        found, rejected = _quads(
-            smaller, dictionary, _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
-        )
-        found, nearly = Found(unique_ids[found.ids], found.quads * np.float32(scale)), [rejected * np.float32(scale)]
-        left = missing_markers(ids, predicted, found, grey.shape)
+        placed = self._placed(smooth, hazy, ids, predicted) if len(ids) >= VISION.many else None
+        if placed is None:
+            seen = _NOTHING
+            found, rejected = _detected(smooth, dictionary, unique_ids, least_px, most_px, hazy)
+            nearly, left = [rejected], missing_markers(ids, predicted, found, grey.shape)
+        else:
+            seen, left = placed
+            found, nearly = Found(seen.ids, seen.corners_px.astype(np.float32)), []
         if not len(left.places):
-            return self._accepted(smooth, dictionary, found)
+            return seen.joined(self._accepted(smooth, dictionary, found.since(len(seen.ids))))
         for x, y, right, bottom in areas_of(left, found, grey.shape):
             part = np.ascontiguousarray(smooth[y:bottom, x:right])
             parameters = _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey)
@@ -160,7 +167,50 @@ class MarkerDetector:
         if len(found.ids):
             nearly.append(left.places)
         nearby = near_predicted(found.elsewhere(np.concatenate(nearly)), left.places, left.spread_px)
-        return self._accepted(smooth, dictionary, self._with_nearly(smooth, dictionary, found, left.ids, *nearby))
+        found = self._with_nearly(smooth, dictionary, found, left.ids, *nearby)
+        return seen.joined(self._accepted(smooth, dictionary, found.since(len(seen.ids))))
+
+    def _placed(self, smooth: Any, hazy: bool, ids: IntArray, predicted: FloatArray) -> tuple["_Seen", Missing] | None:
+        """Those markers, of which a few in the middle are detected: they tell where the others are, to less than a
+        cell, and what is there is compared with them. None if too few are found so; those that are not."""
+        part = _Part.middle_of(smooth, _share_with(VISION.guides, predicted, smooth.shape))
+        near = part.near(predicted - part.corner_px, VISION.hint_margin_px)
+        near_ids, sides_px = np.unique(ids[near]), perimeters_px(predicted[near]) / 4.0
+        dictionary = self._dictionary_of(near_ids)
+        least_px, most_px = max(float(sides_px.min()), VISION.min_side_px), float(sides_px.max())
+        guides, _ = _detected(part.of(smooth), dictionary, near_ids, least_px, most_px, hazy)
+        if len(guides.ids) < VISION.least_guides:
+            return None
+        guides = Found(guides.ids, guides.quads + part.corner_px.astype(np.float32))
+        which = nearest_of(ids, predicted, guides)
+        corners_px, sigma_px, known = predicted.copy(), np.zeros(len(ids)), np.zeros(len(ids), dtype=np.bool_)
+        corners_px[which], sigma_px[which], fit = self._measured(smooth, dictionary, guides)
+        known[which] = fit >= VISION.least_fit
+        for _ in range(VISION.placed_rounds):
+            if int(known.sum()) < VISION.least_guides:
+                return None
+            # An error of the prediction moves what is on a plane as a homography does.
+            have, want = (some[known].reshape(-1, 2) for some in (predicted, corners_px))
+            moved, _ = cv2.findHomography(have, want, cv2.RANSAC, VISION.placed_px)
+            if moved is None:
+                return None
+            places = cv2.perspectiveTransform(predicted.reshape(1, -1, 2), moved).reshape(-1, 4, 2).astype(np.float32)
+            others = np.flatnonzero(~known & inside(places, smooth.shape, 0.0))
+            if not len(others):
+                break
+            corners_px[others], sigma_px[others], fit = self._measured(
+                smooth, dictionary, Found(ids[others], places[others])
+            )
+            off_px = np.abs(corners_px[others] - places[others]).max(axis=2)
+            # A corner that would leave its window stays where it was.
+            there = (fit >= VISION.placed_fit) & ((off_px > 0.0) & (off_px < VISION.placed_px)).all(axis=1)
+            known[others[there]] = True
+        left = ~known & inside(places, smooth.shape, VISION.border_px)
+        if int(left.sum()) > VISION.most_left * int(known.sum()):
+            return None
+        good = known & inside(corners_px, smooth.shape, VISION.border_px)
+        seen = _Seen(ids[good], corners_px[good], sigma_px[good])
+        return seen, Missing(ids[left], places[left].astype(np.float64), VISION.placed_px)
 
     def _search(self, grey: Any, hazy: bool, ids: IntArray, share: float) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary, in this share of an image."""
@@ -194,14 +244,18 @@ class MarkerDetector:
     def _accepted(self, grey: Any, dictionary: Any, found: Found) -> "_Seen":
         """Detections with subpixel corners, without those whose appearance does not match their id."""
         if not len(found.ids):
-            return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
+            return _NOTHING
+        corners_px, sigma_px, fit = self._measured(grey, dictionary, found)
+        sure = fit >= VISION.least_fit
+        return _Seen(found.ids[sure], corners_px[sure], sigma_px[sure])
+
+    def _measured(self, grey: Any, dictionary: Any, found: Found) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Subpixel corners (n, 4, 2), their standard deviations (n,) [px] as the log keeps them, and correlation (n,)
+        of the cells with the pattern."""
         halves = _window_px(found.quads, dictionary.markerSize + 2)
         quads = _refined(grey, found.quads, halves)
         images = marker_images(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
-        sure = images.fit >= VISION.least_fit
-        # As the log keeps it.
-        sigma = corner_sigma_px(images, halves).astype(np.float32).astype(np.float64)
-        return _Seen(found.ids[sure], quads[sure], sigma[sure])
+        return quads, corner_sigma_px(images, halves).astype(np.float32).astype(np.float64), images.fit
 
     def _dictionary_of(self, ids: IntArray) -> Any:
         """OpenCV's dictionary of these ids alone, all of one dictionary."""
@@ -261,6 +315,14 @@ class _Seen(NamedTuple):
     sigma_px: FloatArray
     """(n,) of the corners."""
 
+    def joined(self, more: "_Seen") -> "_Seen":
+        if not len(self.ids) or not len(more.ids):
+            return self if len(self.ids) else more
+        return _Seen(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
+_NOTHING = _Seen(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)), np.empty(0))
+
 
 def _quads(grey: Any, dictionary: Any, parameters: Any) -> tuple[Found, Any]:
     """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32), and the
@@ -269,6 +331,20 @@ def _quads(grey: Any, dictionary: Any, parameters: Any) -> tuple[Found, Any]:
     ids = np.empty(0, dtype=np.int64) if indices is None else np.asarray(indices, dtype=np.int64).ravel()
     found, rest = (np.array(some, dtype=np.float32).reshape(-1, 4, 2) for some in (quads, rejected))
     return Found(ids, found), rest
+
+
+def _detected(
+    smooth: Any, dictionary: Any, unique_ids: IntArray, least_px: float, most_px: float, hazy: bool
+) -> tuple[Found, Any]:
+    """Markers of that dictionary, of these ids and with sides of about so many pixels, and quadrilaterals that are
+    none."""
+    # Noise makes thousands of contours, which cost more than the markers: halve where the cells are large enough.
+    halved = least_px >= VISION.half_cell_px * (dictionary.markerSize + 2)
+    scale = 2.0 if halved else 1.0
+    smaller = cv2.pyrDown(smooth) if halved else smooth
+    parameters = _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
+    found, rejected = _quads(smaller, dictionary, parameters)
+    return Found(unique_ids[found.ids], found.quads * np.float32(scale)), rejected * np.float32(scale)
 
 
 def _window_px(quads: Any, cells: int) -> IntArray:

@@ -72,6 +72,45 @@ def test_pose_from_rendered_images(
     assert turbidity > 1.0 or ranges >= 4
 
 
+def corners_of(markers: MarkerMap, pos: FloatArray, rpy: FloatArray, margin_px: float) -> dict[int, FloatArray]:
+    """Corners (4, 2) of the markers in view, by their ids."""
+    seen, corners_px = markers.in_view(CAMERA, pos, r_ned_from_frd(rpy), margin_px)
+    return dict(zip(markers.ids[seen].tolist(), corners_px, strict=True))
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_all_of_many_markers_are_found_where_they_are(tank: Floor, detector: MarkerDetector, seed: int) -> None:
+    """However far off the prediction is."""
+    renderer, rng, off_px = SimCamera(CAMERA, tank, ImageModel(), 1), np.random.default_rng(seed), []
+    for index, (pos, rpy) in enumerate(poses(1.0, 4, seed)):
+        frame = CameraFrame(t_us=0, image_bgr=renderer.render(truth_at(pos, rpy), index))
+        guess, turned = pos + rng.normal(0.0, 0.02, 3), rpy + rng.normal(0.0, 0.02, 3)
+        sighting = detector.detect(frame, Hint(pos_ned_m=guess, rpy_rad=turned))
+        shown = corners_of(tank.markers, pos, rpy, -5.0)
+        found = dict(zip(sighting.ids, sighting.corners_px, strict=True))
+        assert len(found) >= min(64, len(corners_of(tank.markers, pos, rpy, 8.0))) - 2
+        off_px += [found[each] - shown[each] for each in found]
+    assert len(off_px) > 100
+    assert float(np.std(off_px)) < 0.3
+    assert np.abs(off_px).max() < 2.5
+
+
+def test_a_sheet_that_has_slipped_is_found_where_it_lies(tank: Floor, detector: MarkerDetector) -> None:
+    """As the map's monitor needs it, though all the others tell that it is elsewhere."""
+    pos, rpy = np.array([0.1, 0.2, 0.5]), np.array([0.0, 0.0, 0.4])
+    image = SimCamera(CAMERA, tank, ImageModel(), 1).render(truth_at(pos, rpy), 0)
+    shown = corners_of(tank.markers, pos, rpy, 40.0)
+    which = max(shown, key=lambda each: float(shown[each][:, 0].mean()))
+    left, top = (shown[which].min(axis=0) - 4.0).astype(int)
+    right, bottom = (shown[which].max(axis=0) + 5.0).astype(int)
+    slipped = image.copy()
+    slipped[top:bottom, left + 9 : right + 9] = image[top:bottom, left:right]
+    sighting = detector.detect(CameraFrame(t_us=0, image_bgr=slipped), Hint(pos_ned_m=pos, rpy_rad=rpy))
+    found = dict(zip(sighting.ids, sighting.corners_px, strict=True))
+    assert len(found) > 20
+    np.testing.assert_allclose(found[which], shown[which] + [9.0, 0.0], atol=2.0)
+
+
 def test_without_a_hint_the_whole_dictionary_is_searched(tank: Floor, detector: MarkerDetector) -> None:
     renderer = SimCamera(CAMERA, tank, ImageModel(), 1)
     solver = MarkerSolver(CAMERA, tank.markers)
