@@ -52,8 +52,9 @@ class ModeRow:
     """custom_mode of px4_custom_mode.h."""
     ardusub: int
     """custom_mode of ArduSub, or where it has none of ArduPilot's other vehicles."""
+    px4_label: str = ""
     ardusub_label: str = ""
-    """Where ArduSub has another."""
+    """Where PX4 or ArduPilot has another: buttons of ground stations ask for a mode by its name there."""
     standard: int = 0
     """MAV_STANDARD_MODE, 0 = none. Position hold is the one with sticks. Only numbers that mean the same in common.xml
     of 2025 and in development.xml of 2022, which ground stations of that time go by: one that means one mode to this
@@ -70,8 +71,8 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
         # start. The first of two with one number is what the number means.
         FlightMode.HOLD: ModeRow(label="Hold", px4=px4_mode(_AUTO, 3), ardusub=4, ardusub_label="Guided", button=14),
         FlightMode.MISSION: ModeRow(label="Mission", px4=px4_mode(_AUTO, 4), ardusub=3, button=9),
-        FlightMode.RETURN: ModeRow(label="Return", px4=px4_mode(_AUTO, 5), ardusub=6, button=15),
-        FlightMode.SURFACE: ModeRow(label="Surface", px4=px4_mode(_AUTO, 6), ardusub=9, button=16),
+        FlightMode.RETURN: ModeRow(label="Return", px4=px4_mode(_AUTO, 5), ardusub=6, ardusub_label="RTL", button=15),
+        FlightMode.SURFACE: ModeRow(label="Surface", px4=px4_mode(_AUTO, 6), px4_label="Land", ardusub=9, button=16),
         FlightMode.MANUAL: ModeRow(label="Manual", px4=px4_mode(1), ardusub=19, button=5, piloted=True),
         FlightMode.STABILIZE: ModeRow(label="Stabilize", px4=px4_mode(7), ardusub=0, button=6, piloted=True),
         FlightMode.ALT_HOLD: ModeRow(
@@ -82,7 +83,8 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
         FlightMode.CIRCLE: ModeRow(
             label="Orbit", px4=px4_mode(3, 1), ardusub=7, ardusub_label="Circle", standard=2, button=10
         ),
-        FlightMode.TAKEOFF: ModeRow(label="Takeoff", px4=px4_mode(_AUTO, 2), ardusub=13),
+        # Not "Takeoff", which QGroundControl 5.0 leaves out of its menu
+        FlightMode.TAKEOFF: ModeRow(label="Dive", px4=px4_mode(_AUTO, 2), ardusub=13),
         # PX4 has no such mode: EXTERNAL1, of those for modes of one's own
         FlightMode.SURFTRAK: ModeRow(label="Surftrak", px4=px4_mode(_AUTO, 11), ardusub=21, button=13, piloted=True),
     }

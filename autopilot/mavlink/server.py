@@ -16,7 +16,7 @@ from autopilot.core.log_directory import LogDirectory
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.nondeterminism import NondeterminismSource
 from autopilot.core.params import ParamSaving, ParamSet
-from autopilot.core.plan import PlanStore
+from autopilot.core.plan import MissionResult, PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.mavlink.api import (
     CommandReply,
@@ -305,7 +305,7 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_PARAM_EXT_SET: parameters.on_extended,
             mav.MAVLINK_MSG_ID_MISSION_COUNT: missions.on_count,
             mav.MAVLINK_MSG_ID_MISSION_ITEM_INT: missions.on_item,
-            mav.MAVLINK_MSG_ID_MISSION_ITEM: missions.on_float_item,
+            mav.MAVLINK_MSG_ID_MISSION_ITEM: self._on_float_item,
             mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: missions.on_clear_all,
             mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: missions.on_request_list,
             mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT: missions.on_request,
@@ -582,6 +582,16 @@ class MavlinkServer:
 
     def _on_set_mode(self, peer: MavlinkPeer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
+
+    def _on_float_item(self, peer: MavlinkPeer, msg: Message) -> None:
+        """MISSION_ITEM: ArduPilot's go-to, or an item of a plan."""
+        if not self._ctx.profile.guided_in_hold or msg.current != 2:
+            self.missions.on_float_item(peer, msg)
+            return
+        answer = self._vehicle.guided_item(peer, msg)
+        result = MissionResult.ACCEPTED if answer.result is CommandResult.ACCEPTED else MissionResult.DENIED
+        self._ctx.send(peer, mav.MAVLink_mission_ack_message(peer.sysid, peer.compid, result, msg.mission_type))
+        self._explain(peer, answer)
 
     def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
         """COMMAND_CANCEL: ends the command in progress, whose client gets CANCELLED; else ignored (common.xml)."""

@@ -24,6 +24,7 @@ class VehicleFacts:
     full_v: float = 0.0
     empty_v: float = 0.0
     """Voltages of the battery at rest."""
+    gripper: bool = False
 
 
 Value = Callable[[Mapping[str, float], VehicleFacts], float]
@@ -61,6 +62,10 @@ def _same(name: str) -> Value:
 def _action(name: str, *codes: int) -> Value:
     """The plug-in's number of each value of our parameter."""
     return lambda params, vehicle: codes[int(params[name])]
+
+
+def _gripper(params: Mapping[str, float], vehicle: VehicleFacts) -> float:
+    return float(vehicle.gripper)
 
 
 _NO_RADIO = "No radio receiver: sticks come by MAVLink."
@@ -168,6 +173,15 @@ _PX4 = (
     _real("CP_DIST", _same("MPC_MARGIN"), "MPC_MARGIN, kept from fence and obstacles.", 1.0, "MPC_MARGIN"),
     _Row("COM_OBS_AVOID", 0, "Obstacles are avoided on board, without a companion computer."),
     _Row("SDLOG_MODE", 0, "A log per arming, to disarming."),
+    # Buttons that are shown by a parameter
+    _real(
+        "MPC_XY_VEL_MAX",
+        _same("SPD_PLANAR_MAX"),
+        "SPD_PLANAR_MAX, the highest speed to change to.",
+        3.0,
+        "SPD_PLANAR_MAX",
+    ),
+    _Row("PD_GRIPPER_EN", _gripper, "1 = the vehicle file has a gripper.", highest=1),
 )
 
 _ARDUSUB = (
@@ -195,6 +209,14 @@ _ARDUSUB = (
     _Row("FRAME_CONFIG", 7, "ArduSub's number of a frame that it does not know."),
     *(_Row(f"MNT_RC_IN_{axis}", 0, "The camera is fixed.") for axis in ("TILT", "ROLL", "PAN")),
     *(_Row(f"SERVO{n}_FUNCTION", 0, "Outputs are in the vehicle file.") for n in range(1, 17)),
+    _real(
+        "WPNAV_SPEED",
+        lambda params, vehicle: 100.0 * params["SPD_PLANAR_MAX"],
+        "SPD_PLANAR_MAX in cm/s, the highest speed to change to.",
+        300.0,
+        "SPD_PLANAR_MAX",
+    ),
+    _Row("GRIP_ENABLE", _gripper, "1 = the vehicle file has a gripper.", highest=1),
 )
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -11,17 +12,21 @@ from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, OrbitYaw
 from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied, request
-from autopilot.mavlink.context import Context
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.flight_modes import STANDARD_MODES
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG
 from autopilot.mavlink.progress import ProgressMessages
 from autopilot.mavlink.telemetry import NavigationMessages
+from autopilot.mavlink.wire import Message
 
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 """COMPONENT_ARM_DISARM.param2: QGroundControl's force arm, and emergency stop (either works both ways)."""
 
 CHANGE_MODE = 1
 """MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+
+NO_ALTITUDE = -0x8000_0000
+"""What QGroundControl makes of a place without an altitude, in millimetres."""
 
 _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
@@ -291,6 +296,14 @@ class VehicleService:
                 ctx.say(notices.REFUSED(reason=speed.reason), call.peer)
         return Reply(answer)
 
+    def guided_item(self, peer: MavlinkPeer, msg: Message) -> CommandReply:
+        """MISSION_ITEM with current = 2: ArduPilot's go-to, the only one of QGroundControl to an ArduSub. Its 32 bit
+        degrees are finer than the map that was clicked on.
+        """
+        change = (-1.0, float(CHANGE_MODE), 0.0, math.nan)
+        place = {"x": msg.x, "y": msg.y, "z": msg.z, "frame": msg.frame}
+        return self.reposition(Call(peer=peer, command=msg.command, params=change, exact=True, **place)).answer
+
     def change_speed(self, call: Call) -> Reply:
         """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = unchanged, -2 = default."""
         if call.whole(1) not in (0, 1):
@@ -324,17 +337,20 @@ class VehicleService:
         self._ctx.announce_place = True
         if call.frame not in _GLOBAL:
             return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason="origin: use frame GLOBAL"))
-        if not (math.isfinite(call.x) and math.isfinite(call.y) and math.isfinite(call.z)):
-            return denied("origin: latitude, longitude or altitude is missing")
+        if not (math.isfinite(call.x) and math.isfinite(call.y)):
+            return denied("origin: latitude or longitude is missing")
+        if not math.isfinite(call.z):  # a place of QGroundControl's map has none
+            call = replace(call, z=self._ctx.view.origin.alt_m)
         point = self._point(call, "origin")
         return point if isinstance(point, Reply) else Reply(self._ctx.vehicle.set_origin(point))
 
     def set_origin_message(self, latitude: int, longitude: int, altitude: int) -> CommandReply:
-        """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres."""
+        """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres. Without an altitude that of the origin stays."""
         lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
+        alt_m = self._ctx.view.origin.alt_m if altitude == NO_ALTITUDE else altitude / 1e3
         if not _usable(lat_deg, lon_deg):
             return _no_place("origin", lat_deg, lon_deg).answer
-        answer = self._ctx.vehicle.set_origin(GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
+        answer = self._ctx.vehicle.set_origin(GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
         if answer.result is CommandResult.ACCEPTED:
             self._ctx.announce_place = True
         return answer

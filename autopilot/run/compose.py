@@ -204,6 +204,7 @@ def build_service(
                 thrusters=len(vehicle.thrusters),
                 full_v=vehicle.battery.open_circuit_v,
                 empty_v=vehicle.battery.empty_v,
+                gripper=any(output.kind == "gripper" for output in vehicle.payload),
             ),
         ),
     )

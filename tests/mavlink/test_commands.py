@@ -390,6 +390,16 @@ def test_origin_by_command(world: World, client: Client) -> None:
     assert client.command_int(611, 0, (0, 0, 0, 0), INT32_MAX, e7(24.0), 3.0) == R.DENIED
 
 
+def test_an_origin_without_an_altitude_keeps_that_of_the_old_one(world: World, client: Client) -> None:
+    """A place of QGroundControl's map has no altitude."""
+    world.run(0.1)
+    kept = GeodeticPosition(lat_deg=38.0, lon_deg=24.0, alt_m=world.view.origin.alt_m)
+    assert client.command_int(611, 0, (0, 0, 0, 0), e7(38.0), e7(24.0), NAN) == R.ACCEPTED
+    client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), -0x8000_0000))
+    world.run(0.1)
+    assert world.vehicle.calls == [("set_origin", kept)] * 2
+
+
 def test_origin_by_message_is_answered_with_the_new_one(world: World) -> None:
     """MAVSDK waits 0.5 s for GPS_GLOBAL_ORIGIN."""
     client = world.client()
@@ -440,7 +450,8 @@ def test_available_modes(profile: str) -> None:
     assert [(m.mode_index, m.number_modes) for m in modes] == [(n + 1, len(listed)) for n in range(len(listed))]
     numbers = {m.custom_mode: m.standard_mode for m in modes}
     assert numbers == {world.server.custom_mode(mode): MODE_ROWS[mode].standard for mode in listed}
-    assert [m.mode_name for m in modes[1:4]] == ["Mission", "Return", "Surface"]
+    named = {"px4": ["Return", "Land"], "ardusub": ["RTL", "Surface"], "generic": ["Return", "Surface"]}
+    assert [m.mode_name for m in modes[1:4]] == ["Mission", *named[profile]]
     assert len({m.mode_name for m in modes}) == len(modes)
     assert client.command(512, 435, 3) == R.ACCEPTED
     assert [m.mode_index for m in client.got("AVAILABLE_MODES")] == [3]

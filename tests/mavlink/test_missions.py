@@ -20,6 +20,7 @@ from mavlink_harness import (
 
 from autopilot.core.messages import MissionProgress, ProgressState
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanKind, PlanRejection
+from autopilot.mavlink.api import CommandReply, CommandResult
 
 R = MissionResult
 
@@ -189,6 +190,28 @@ def test_float_items_are_refused_as_too_coarse(world: World) -> None:
     (ack,) = client.ask(item, "MISSION_ACK", 0.1)
     assert ack.type == R.UNSUPPORTED and "MISSION_ITEM_INT" in client.texts()
     assert not world.server.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
+
+
+@pytest.mark.parametrize("profile", ["ardusub", "px4"])
+def test_an_item_that_is_a_go_to(profile: str) -> None:
+    """ArduPilot's, current = 2; QGroundControl sends an ArduSub no other."""
+    world = World(profile)
+    client = world.client()
+
+    def go_to(current: int = 2) -> int:
+        item = mav.MAVLink_mission_item_message(1, 1, 0, 3, 16, current, 1, 0, 0, 0, 0, 37.9756, 23.7791, -0.4, 0)
+        return int(client.ask(item, "MISSION_ACK", 0.1)[-1].type)
+
+    assert go_to(0) == R.UNSUPPORTED and not world.vehicle.calls
+    if profile == "px4":
+        assert go_to() == R.UNSUPPORTED and not world.vehicle.calls
+        return
+    assert go_to() == R.ACCEPTED
+    ((name, point, yaw),) = world.vehicle.calls
+    assert (name, yaw, point.alt_m) == ("go_to", None, pytest.approx(ORIGIN.alt_m - 0.4))
+    assert (point.lat_deg, point.lon_deg) == (pytest.approx(37.9756, abs=4e-6), pytest.approx(23.7791, abs=4e-6))
+    world.vehicle.answers["go_to"] = CommandReply(result=CommandResult.DENIED, reason="Go-to denied: arm first")
+    assert go_to() == R.DENIED and "arm first" in client.texts()
 
 
 def test_partial_lists_are_unsupported(world: World) -> None:

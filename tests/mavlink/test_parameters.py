@@ -95,6 +95,7 @@ def test_what_a_plug_in_wants_is_there_and_read_only() -> None:
         ("FS_BATT_CRT", 0.02, "BAT_EMERGEN_THR", 0.02),
         ("FS_CAGE_ACT", 1.0, "GF_ACTION", 2),
         ("MPC_MARGIN", 0.1, "CP_DIST", 0.1),
+        ("SPD_PLANAR_MAX", 0.4, "MPC_XY_VEL_MAX", 0.4),
     ],
 )
 def test_a_plug_ins_parameter_says_what_ours_decides(ours: str, value: float, theirs: str, shown: float) -> None:
@@ -106,6 +107,20 @@ def test_a_plug_ins_parameter_says_what_ours_decides(ours: str, value: float, th
     set_param(client, theirs, 0, told[-1].param_type)
     assert f"{theirs} is read only: set {ours}" in client.texts()
     assert world.params[ours] == pytest.approx(value)
+
+
+@pytest.mark.parametrize("gripper", [False, True])
+@pytest.mark.parametrize(
+    ("profile", "speed", "shown", "name"),
+    [("px4", "MPC_XY_VEL_MAX", 0.5, "PD_GRIPPER_EN"), ("ardusub", "WPNAV_SPEED", 50.0, "GRIP_ENABLE")],
+)
+def test_parameters_that_show_a_button(profile: str, speed: str, shown: float, name: str, gripper: bool) -> None:
+    """QGroundControl's *Change speed* and *Gripper*."""
+    world = World(profile, facts=VehicleFacts(gripper=gripper))
+    client = world.client()
+    for wanted, value in ((speed, shown), (name, float(gripper))):
+        read = client.ask(mav.MAVLink_param_request_read_message(1, 1, wanted.encode(), -1), "PARAM_VALUE", 0.05)
+        assert from_wire(world, read[0]) == pytest.approx(value)
 
 
 def test_parameters_longer_than_32_bits_are_refused_in_words(world: World) -> None:

@@ -639,8 +639,15 @@ class GroundStation:
             self.command(193, 0.0)
 
     def go_to(self, lat_deg: float, lon_deg: float) -> None:
-        """At the present altitude, as a float."""
-        (alt_m,) = struct.unpack("<f", struct.pack("<f", self.last["GLOBAL_POSITION_INT"].alt / 1e3))
+        """At the present altitude, as a float; to an ArduSub by an item of a mission."""
+        position = self.last["GLOBAL_POSITION_INT"]
+        if self.profile == "ardusub":
+            place = lat_deg, lon_deg, position.relative_alt / 1e3
+            item = mav.MAVLink_mission_item_message(1, 1, 0, 3, 16, 2, 1, 0, 0, 0, 0, *place)
+            if self.hear(item, lambda m: m.get_type() == "MISSION_ACK", GENERAL_S, 1).type:
+                self.trouble.append("popup: mission transfer failed")
+            return
+        (alt_m,) = struct.unpack("<f", struct.pack("<f", position.alt / 1e3))
         self.command(192, -1.0, 1.0, 0.0, NAN, frame=0, place=(round(lat_deg * 1e7), round(lon_deg * 1e7), alt_m))
 
     def change_altitude(self, by_m: float) -> None:

@@ -93,8 +93,9 @@ def fly(station: GroundStation, profile: str) -> None:
         station.rest(1.0)
         station.set_mode("Mission")
         station.until(lambda: station.mode == "Mission", "on with the mission", 5.0)
-        station.set_mode("Return")
-        station.until(lambda: station.mode == "Return", "return", 5.0)
+        home, up = ("RTL", "Surface") if profile == "ardusub" else ("Return", "Land")
+        station.set_mode(home)
+        station.until(lambda: station.mode == home, "return", 5.0)
         station.been.clear()
         heard = len(station.texts)
 
@@ -103,8 +104,8 @@ def fly(station: GroundStation, profile: str) -> None:
 
         station.command(22, -1.0, 0.0, 0.0, *(math.nan,) * 3, 2.0)
         # A vehicle that is deep enough already has dived at once.
-        station.until(lambda: station.modes["Takeoff"] in station.been or dived(), "takeoff", 5.0)
-        station.set_mode("Surface")
+        station.until(lambda: station.modes["Dive"] in station.been or dived(), "takeoff", 5.0)
+        station.set_mode(up)
     else:
         station.command(193, 1.0)
         station.rest(1.0)
