@@ -84,7 +84,7 @@ def _margins(run: RunDescription, watch: TickWatch) -> dict[str, Margin]:
     bounds = run.paper_bounds
     for name, values, limit, allowed in (
         ("planar speed", judged.planar_speed_m_s, bounds["planar_speed_m_s"], accept["planar_speed_m_s"]),
-        ("heave", np.abs(judged.vel_water_frd_m_s[:, 2]), bounds["heave_m_s"], accept["heave_m_s"]),
+        ("heave", np.abs(judged.vel_level_m_s[:, 2]), bounds["heave_m_s"], accept["heave_m_s"]),
         ("yaw rate", np.abs(judged.rate_frd_rad_s[:, 2]), bounds["yaw_rate_rad_s"], accept["yaw_rate_rad_s"]),
     ):
         add(name, limit - values, judged, round(max(0.0, allowed - limit), 6))

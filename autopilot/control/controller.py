@@ -116,6 +116,7 @@ class MotionController:
             backends,
             desks.certificates,
             tuple(each.name for each in vehicle.thrusters),
+            response.mean_s,
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._solver_news: list[tuple[Severity, str]] = [notices.SOLVER(name=self.solver)]
@@ -374,6 +375,7 @@ class MotionController:
         self._lag.follow(self._command, elapsed_s)
         self._lift.push(self._lag.acting_n, elapsed_s)
         self.margins.water_speed.push(self._lag.acting_n, elapsed_s)
+        self.margins.yaw_rate.push(self._lag.acting_n, elapsed_s)
 
     def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
         """Update the estimated vertical disturbance, which all plans and holds use."""

@@ -65,15 +65,26 @@ class VehicleTrack:
         return VehicleTrack(**{name: getattr(self, name)[keep] for name in self.__slots__})
 
     @property
+    def vel_level_m_s(self) -> FloatArray:
+        """(n, 3) surge, sway and heave relative to the water in the level frame, whose speeds are limited: of a vehicle
+        that goes ahead nose up, no part of the velocity is heave."""
+        (roll, pitch, _), (u, v, w) = self.rpy_rad.T, self.vel_water_frd_m_s.T
+        down = np.sin(roll) * v + np.cos(roll) * w
+        surge, heave = np.cos(pitch) * u + np.sin(pitch) * down, np.cos(pitch) * down - np.sin(pitch) * u
+        return np.column_stack((surge, np.cos(roll) * v - np.sin(roll) * w, heave))
+
+    @property
     def planar_speed_m_s(self) -> FloatArray:
         """(n,) norm of surge and sway relative to the water."""
-        result: FloatArray = np.hypot(self.vel_water_frd_m_s[:, 0], self.vel_water_frd_m_s[:, 1])
+        surge, sway, _ = self.vel_level_m_s.T
+        result: FloatArray = np.hypot(surge, sway)
         return result
 
     @property
     def literal_speed_m_s(self) -> FloatArray:
         """(n,) abs(u + v), the paper's constraint (5a) taken literally."""
-        result: FloatArray = np.abs(self.vel_water_frd_m_s[:, 0] + self.vel_water_frd_m_s[:, 1])
+        surge, sway, _ = self.vel_level_m_s.T
+        result: FloatArray = np.abs(surge + sway)
         return result
 
 

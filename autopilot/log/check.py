@@ -275,7 +275,7 @@ def _motion_rows(flight: FlightRecord, accept: AcceptBounds) -> list[BoundRow]:
     if len(t_s):
         literal = float(np.max(track.literal_speed_m_s))
         rows.append(info("planar speed |u+v|", "m/s", literal, "paper (5a), literal"))
-    rows += _at_most("heave", "m/s", accept.heave_m_s, t_s, np.abs(track.vel_water_frd_m_s[:, 2]))
+    rows += _at_most("heave", "m/s", accept.heave_m_s, t_s, np.abs(track.vel_level_m_s[:, 2]))
     rows += _at_most("yaw rate", "rad/s", accept.yaw_rate_rad_s, t_s, np.abs(track.rate_frd_rad_s[:, 2]))
     commands = flight.table("/out/thrusters")
     if commands is None:

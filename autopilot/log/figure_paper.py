@@ -184,7 +184,7 @@ def heave_and_yaw_rate(scene: FigureScene) -> Figure | None:
     """Heave relative to the water and yaw rate, with their bounds."""
     figure, (top, bottom) = stacked_axes(2, 4.2)
     curves = (
-        (top, scene.track.vel_water_frd_m_s[:, 2], scene.bound("heave_m_s"), "heave w [m/s]"),
+        (top, scene.track.vel_level_m_s[:, 2], scene.bound("heave_m_s"), "heave w [m/s]"),
         (bottom, scene.track.rate_frd_rad_s[:, 2], scene.bound("yaw_rate_rad_s"), "yaw rate r [rad/s]"),
     )
     for ax, values, limit, label in curves:

@@ -181,7 +181,7 @@ PANELS: dict[str, tuple[Panel, ...]] = {
     ),
     "3_planar_speed": (Panel("planar speed [m/s]", lambda scene: scene.track.planar_speed_m_s, "planar_speed_m_s"),),
     "4_heave_and_yaw_rate": (
-        Panel("heave w [m/s]", lambda scene: scene.track.vel_water_frd_m_s[:, 2], "heave_m_s", both_ways=True),
+        Panel("heave w [m/s]", lambda scene: scene.track.vel_level_m_s[:, 2], "heave_m_s", both_ways=True),
         Panel("yaw rate r [rad/s]", lambda scene: scene.track.rate_frd_rad_s[:, 2], "yaw_rate_rad_s", both_ways=True),
     ),
     "8_energy": (Panel("energy [J]", _energy),),

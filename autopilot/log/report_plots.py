@@ -165,7 +165,7 @@ class Plots:
         return {
             "Clearance margins": self._sheet.plot("margin [m]", clearances(flight), (0.0,)),
             "Planar speed": self._sheet.plot("speed in the water [m/s]", speeds, self._bound("planar_speed_m_s")[1:]),
-            "Heave": self._component("w [m/s]", "vel_water_frd_m_s", self._bound("heave_m_s")),
+            "Heave": self._component("w [m/s]", "vel_level_m_s", self._bound("heave_m_s")),
             "Yaw rate": self._component("r [rad/s]", "rate_frd_rad_s", self._bound("yaw_rate_rad_s")),
         }
 

@@ -23,10 +23,19 @@ from log_synthetic import (
     write_run,
 )
 
+from autopilot.control.robust.margins import AT_REST
 from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Event, Fallback, ModeState
-from autopilot.log.analysis import Span, distance_to_fence, distance_to_polygon, energy_j, load_flight, visits
+from autopilot.log.analysis import (
+    Span,
+    VehicleTrack,
+    distance_to_fence,
+    distance_to_polygon,
+    energy_j,
+    load_flight,
+    visits,
+)
 from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import (
@@ -92,6 +101,16 @@ def test_each_violation_of_the_truth_turns_its_row(tmp_path: Path, name: str) ->
     row = rows[name]
     assert row.margin is not None and -0.05 < row.margin < 0.0
     assert row.at_s == pytest.approx(9.1, abs=0.3)
+
+
+@given(st.lists(st.floats(-1.2, 1.2), min_size=2, max_size=2), st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3))
+def test_speeds_are_judged_in_the_frame_in_which_they_are_limited(tilt: list[float], water_m_s: list[float]) -> None:
+    one = replace(AT_REST, rpy_rad=np.array([*tilt, 0.3]), vel_water_frd_m_s=np.array(water_m_s))
+    names = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s")
+    track = VehicleTrack(t_s=np.zeros(1), **{name: getattr(one, name)[None] for name in names})
+    level = one.in_level_frame().vel_water_frd_m_s
+    assert track.vel_level_m_s[0] == pytest.approx(level, abs=1e-12)
+    assert track.planar_speed_m_s[0] == pytest.approx(math.hypot(*level[:2]), abs=1e-12)
 
 
 def test_the_literal_speed_is_reported_and_not_judged(tmp_path: Path) -> None:

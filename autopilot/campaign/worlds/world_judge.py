@@ -206,6 +206,7 @@ def _broken(world: RandomWorld, watch: WorldWatch) -> dict[str, float]:
     """Bounds that were broken by more than their tolerance."""
     params, vehicle = world.scenario["params"], world.vehicle
     rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
+    flown = watch.track.between(watch.mission)
     found: dict[str, float] = {}
 
     def hold(name: str, beyond: float, tolerance: float) -> None:
@@ -215,8 +216,8 @@ def _broken(world: RandomWorld, watch: WorldWatch) -> dict[str, float]:
     every = watch.rows[::5]
     least = min(clearance_m(world.layout, (float(row[1]), float(row[2]))) for row in every)
     hold("clearance", vehicle.radius_m - least, CLEARANCE_M)
-    hold("planar speed", float(np.max(np.hypot(rows[:, 10], rows[:, 11]))) - params["SPD_PLANAR_MAX"], SPEED_M_S)
-    hold("heave", float(np.max(np.abs(rows[:, 12]))) - params["SPD_HEAVE_MAX"], HEAVE_M_S)
+    hold("planar speed", float(np.max(flown.planar_speed_m_s)) - params["SPD_PLANAR_MAX"], SPEED_M_S)
+    hold("heave", float(np.max(np.abs(flown.vel_level_m_s[:, 2]))) - params["SPD_HEAVE_MAX"], HEAVE_M_S)
     hold("yaw rate", float(np.max(np.abs(rows[:, 15]))) - params["SPD_YAW_MAX"], YAW_RATE_RAD_S)
     hold("thrust", float(np.max(rows[:, 19])) - params["THR_LIMIT"], THRUST_N)
     hold("depth", float(np.max(rows[:, 3])) - params["DEPTH_MAX"], DEPTH_M)

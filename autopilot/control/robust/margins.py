@@ -17,6 +17,7 @@ from autopilot.control.robust.robust_tuning import TUBE, WATER_SPEED
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
 from autopilot.control.robust.water_speed import WaterSpeed
+from autopilot.control.robust.yaw_rate import YawRateExcess
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
@@ -53,7 +54,8 @@ class Tighten(IntEnum):
 class Margins(NoticeQueue):
     """Chooses among the three at every step."""
 
-    def __init__(self, model: Model4, grid: TimeGrid) -> None:
+    def __init__(self, model: Model4, grid: TimeGrid, lag_s: float = 0.0) -> None:
+        """``lag_s``: mean lag of the thrusters."""
         super().__init__()
         self.ancillary = Ancillary(model)
         fixed = FixedMargins(grid, model.thrusters)
@@ -62,6 +64,8 @@ class Margins(NoticeQueue):
         self.evidence = SpeedEvidence()
         """Reset by the controller at a restart."""
         self.water_speed = WaterSpeed(model)
+        """The same."""
+        self.yaw_rate = YawRateExcess(model, lag_s)
         """The same."""
         self._speed_margin_m_s: float | None = None
         """Back-off of the planar speed by :attr:`water_speed`, None = the tube's."""
@@ -87,15 +91,17 @@ class Margins(NoticeQueue):
         return self._fixed.back_offs(nav, x, thrust_n, params)
 
     def update(self, nav: NavState, params: ParamSet) -> None:
-        """Once per control step, before :meth:`back_offs`: update the evidence for the planar speed margin."""
+        """Once per control step, before :meth:`back_offs`: update the evidence for the speed margins."""
         self.water_speed.update(nav)
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
+            self.yaw_rate.update(nav)
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
             self.evidence.update(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
             unknown_m_s = max(self.evidence.margin_fraction * tube_m_s, params["MPC_SPEED_MARGIN"])
             self._move_speed_margin(nav.t_us, unknown_m_s, params["SPD_PLANAR_MAX"])
         else:
             self.evidence.reset()
+            self.yaw_rate.reset()
             self._speed_margin_m_s = None
 
     def _move_speed_margin(self, t_us: int, unknown_m_s: float, limit_m_s: float) -> None:
@@ -129,6 +135,7 @@ class Margins(NoticeQueue):
         """Discard what has been learned, for a restart of the controller."""
         self.evidence.reset()
         self.water_speed.reset()
+        self.yaw_rate.reset()
         self._speed_margin_m_s = self._margin_us = None
 
     def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
