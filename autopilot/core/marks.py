@@ -40,18 +40,20 @@ class ServiceThread(IntEnum):
     LOOP = 0
     VISION = 1
     """Detection of markers."""
-    ROUTES = 2
-    TRAJECTORIES = 3
+    CAMERA = 2
+    """Pictures fetched and decoded."""
+    ROUTES = 3
+    TRAJECTORIES = 4
     """Energy plans."""
-    CERTIFICATES = 4
-    PLANS = 5
+    CERTIFICATES = 5
+    PLANS = 6
     """Checks of plans."""
-    LOG = 6
-    DISK = 7
+    LOG = 7
+    DISK = 8
     """Parameters, plans and stills; logs that clients read."""
-    VIEW = 8
-    OTHER = 9
-    """Those of libraries (a camera's decoder), and all others."""
+    VIEW = 9
+    OTHER = 10
+    """Those of libraries (a decoder's own), and all others."""
 
 
 class Marks(Protocol):

@@ -38,7 +38,7 @@ from autopilot.log.packing.record_values import (
 )
 from autopilot.log.sample_table import MessageRow
 
-_THREADS = ", ".join(f"{thread:d} {thread.name.lower()}" for thread in ServiceThread)
+_THREADS = ", ".join(thread.name.lower() for thread in ServiceThread)
 
 MAX_NODES = 81
 """Places of a prediction whose tube is logged: those of 80 uniform intervals."""
@@ -383,7 +383,7 @@ uint32 log_queue  # messages that wait for the writer of the log
 uint64 log_queue_bytes  # what they take
 uint16 threads  # of the process
 float64 collect_s  # longest pause of the garbage collector in the last second
-float64[{len(ServiceThread)}] thread_cpu_s  # CPU seconds of the last second by thread: {_THREADS}
+float64[{len(ServiceThread)}] thread_cpu_s  # CPU seconds of the last second: {_THREADS}
 """,
         put={"rss": lambda stats: stats.rss_bytes},
     ),

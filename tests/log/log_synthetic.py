@@ -76,7 +76,7 @@ PROCESS = ProcessStats(
     log_queue_bytes=9_000,
     threads=7,
     collect_s=0.002,
-    thread_cpu_s=(0.2, 0.07, *[0.0] * 7, 0.03),
+    thread_cpu_s=(0.2, 0.07, *[0.0] * 8, 0.03),
 )
 
 DESCRIPTION = RunDescription(
