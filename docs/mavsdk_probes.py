@@ -47,6 +47,7 @@ def _action(bench: Bench) -> Any:
         return math.hypot(found.latitude_deg - LAT, found.longitude_deg - LON) < 1e-6
 
     return [
+        ("arm_force", seen(a.arm_force, t.armed)),
         ("arm", seen(a.arm, t.armed)),
         ("takeoff", seen(a.takeoff, t.in_air)),
         ("hold", seen(a.hold, bench.in_mode("HOLD"))),
@@ -57,8 +58,9 @@ def _action(bench: Bench) -> Any:
         ("reboot while armed", a.reboot),
         ("shutdown while armed", a.shutdown),
         ("land", seen(a.land, bench.in_mode("LAND"))),
+        ("(hold)", seen(a.hold, bench.in_mode("HOLD"))),  # else the surface disarms
         ("kill", seen(a.kill, disarmed)),
-        ("arm_force", seen(a.arm_force, t.armed)),
+        ("(arm)", seen(a.arm, t.armed)),
         ("terminate", seen(a.terminate, disarmed)),
         ("(arm)", seen(a.arm, t.armed)),
         ("disarm", seen(a.disarm, disarmed)),
@@ -314,16 +316,38 @@ def _mocap(bench: Bench) -> Any:
 
 def _offboard(bench: Bench) -> Any:
     o, m, action = bench.plugin("offboard"), import_module("mavsdk.plugins.offboard"), bench.plugin("action")
+    t = bench.plugin("telemetry")
+
+    def speed_m_s(toward_deg: float) -> float:
+        speed, toward = t.velocity_ned(), math.radians(toward_deg)
+        return float(speed.north_m_s) * math.cos(toward) + float(speed.east_m_s) * math.sin(toward)
+
+    def heading_deg() -> float:
+        return float(t.attitude_euler().yaw_deg)
+
+    def backs_and_turns() -> bool:
+        return speed_m_s(heading_deg()) < -0.05 and t.attitude_angular_velocity_body().yaw_rad_s > 0.1
+
     return [
         ("(arm)", action.arm),
-        ("set_velocity_ned", lambda: o.set_velocity_ned(m.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))),
+        ("(set_velocity_ned)", lambda: o.set_velocity_ned(m.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))),
         ("start", seen(o.start, bench.in_mode("OFFBOARD"))),
         (
             "set_position_ned",
             seen(lambda: o.set_position_ned(m.PositionNedYaw(0.0, 0.5, 0.5, 0.0)), bench.near(0.0, 0.5)),
         ),
-        ("set_velocity_body", lambda: o.set_velocity_body(m.VelocityBodyYawspeed(0.0, 0.0, 0.0, 0.0))),
-        ("set_attitude", lambda: o.set_attitude(m.Attitude(0.0, 0.0, 0.0, 0.5))),
+        (
+            "set_velocity_ned",
+            seen(lambda: o.set_velocity_ned(m.VelocityNedYaw(0.1, 0.0, 0.0, 0.0)), lambda: speed_m_s(0.0) > 0.05),
+        ),
+        (
+            "set_velocity_body",
+            seen(lambda: o.set_velocity_body(m.VelocityBodyYawspeed(-0.1, 0.0, 0.0, 10.0)), backs_and_turns),
+        ),
+        (
+            "set_attitude",
+            seen(lambda: o.set_attitude(m.Attitude(0.0, 0.0, -90.0, 0.5)), lambda: abs(heading_deg() + 90.0) < 5.0),
+        ),
         ("stop", seen(o.stop, bench.in_mode("HOLD"))),
         ("(disarm)", action.disarm),
     ], []

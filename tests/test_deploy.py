@@ -4,6 +4,7 @@ import configparser
 import json
 import re
 import shlex
+import tomllib
 from importlib.metadata import version
 from pathlib import Path
 from string import Template
@@ -62,6 +63,16 @@ def test_the_image_starts_what_is_there() -> None:
         understands(shlex.split(program))
     assert "exec autopilot run" in script, "or it is not the service that gets the signal to stop"
     assert "USER autopilot" in text
+
+
+def test_the_image_is_built_from_all_that_is_installed() -> None:
+    root = DEPLOY.parents[1]
+    installed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    lines = (root / ".dockerignore").read_text().split()
+    kept = {line[1:] for line in lines if line.startswith("!")}
+    for pattern in (each for patterns in installed.values() for each in patterns):
+        above = {str(path) for path in (Path(pattern), *Path(pattern).parents)}
+        assert above & kept or not above.intersection(lines), f"{pattern} is not in the image"
 
 
 def image_labels() -> dict[str, str]:

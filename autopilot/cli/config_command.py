@@ -1,6 +1,7 @@
 """``autopilot config``: settings of a run with their sources; a configuration to edit."""
 
 import contextlib
+import copy
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +14,9 @@ from autopilot.cli.shared_options import COPY_OUT, JSON
 
 if TYPE_CHECKING:
     from autopilot.run.config import EffectiveSettings
+
+USUAL_CONFIG = "bluerov2-ardusub"
+"""What `config new` copies."""
 
 
 @click.group()
@@ -53,17 +57,15 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
     "--from",
     "source",
     type=CONFIG_NAME,
-    default="bluerov2-ardusub",
-    show_default=True,
-    help="Shipped configuration or file to copy.",
+    help=f"Shipped configuration or file to copy; default: the shipped one of that NAME, or {USUAL_CONFIG}.",
 )
 @COPY_OUT
-def new(name: str, source: str, out: Path | None) -> None:
+def new(name: str, source: str | None, out: Path | None) -> None:
     """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
     from autopilot.run.sitl_copy import copy_target, write_copies
-    from autopilot.run.vehicle_config import load_config
+    from autopilot.run.vehicle_config import config_names, load_config
 
-    loaded = load_config(source)
+    loaded = load_config(source or (name if name in config_names() else USUAL_CONFIG))
     target = copy_target(name, out)
     copies = {target: loaded.path.read_bytes()}
     if loaded.markers is not None and loaded.file.place.markers is not None:
@@ -72,6 +74,12 @@ def new(name: str, source: str, out: Path | None) -> None:
     for path in copies:
         click.echo(str(path))
     click.echo(f"edit it, then: autopilot doctor --config {target}")
+
+
+WRITE = copy.copy(new)
+"""`config write` is what `config new` does; the help lists one of them."""
+WRITE.hidden = True
+config.add_command(WRITE, "write")
 
 
 @config.command()

@@ -83,7 +83,7 @@ def _examined(
     measure_neutral: bool,
 ) -> "list[Finding]":
     """Findings on the vehicle, or about its configuration."""
-    from autopilot.analysis.nmpc_flight import control_load
+    from autopilot.analysis.nmpc_flight import FlightTrials
     from autopilot.core.errors import AutopilotError
     from autopilot.run.config import gather, parse_overrides, vehicle_defaults
     from autopilot.run.doctor import examine, failed_config
@@ -95,7 +95,7 @@ def _examined(
         loaded = load_config(config)
         file = loaded.file.service.given(loaded.path.parent)
         settings = gather(vehicle_defaults(instance), given, file=file, file_name=loaded.path.name)
-        findings = examine(loaded, settings, seconds, overrides, instance=instance, flying=control_load)
+        findings = examine(loaded, settings, seconds, overrides, instance=instance, flying=FlightTrials())
         return [*findings, measure(loaded)] if measure_neutral else findings
     except AutopilotError as error:
         return failed_config(error)

@@ -5,6 +5,9 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Protocol
 
+STATS_EVERY_TICKS = 100
+"""Loop statistics once per second."""
+
 
 class LoopPart(IntEnum):
     """The parts of a tick, in order of execution."""
@@ -29,6 +32,28 @@ class LoopPart(IntEnum):
     SEND = 10
     RECORD = 11
     """Log, plans on their way to the disk, whoever looks on."""
+
+
+class ServiceThread(IntEnum):
+    """The threads of the service."""
+
+    LOOP = 0
+    VISION = 1
+    """Detection of markers."""
+    CAMERA = 2
+    """Pictures fetched and decoded."""
+    ROUTES = 3
+    TRAJECTORIES = 4
+    """Energy plans."""
+    CERTIFICATES = 5
+    PLANS = 6
+    """Checks of plans."""
+    LOG = 7
+    DISK = 8
+    """Parameters, plans and stills; logs that clients read."""
+    VIEW = 9
+    OTHER = 10
+    """Those of libraries (a decoder's own), and all others."""
 
 
 class Marks(Protocol):
@@ -97,6 +122,11 @@ class TickTimer:
         if total_s > self._slowest_s:
             self._slowest, self._slowest_s = (self.part_s, self.part_cpu_s), total_s
         return total_s - self.part_s[LoopPart.WAIT]
+
+    @property
+    def tick_cpu_s(self) -> float:
+        """CPU time of the tick so far."""
+        return sum(self.part_cpu_s)
 
     def take_slowest(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Wall and CPU time by part of the slowest tick since the last call."""

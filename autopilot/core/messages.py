@@ -15,7 +15,7 @@ import numpy as np
 from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.guard import Fault
-from autopilot.core.marks import LoopPart
+from autopilot.core.marks import LoopPart, ServiceThread
 from autopilot.core.nondeterminism import Note
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import ExternalPoseSample, PictureReport, PlanarFixSample, Sample
@@ -598,6 +598,8 @@ class ProcessStats:
     threads: int
     collect_s: float
     """Longest pause of the garbage collector in the last second."""
+    thread_cpu_s: tuple[float, ...] = (0.0,) * len(ServiceThread)
+    """CPU time of the last second by :class:`ServiceThread`; all 0 where the system does not tell threads apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -616,6 +618,10 @@ class LoopStats:
     part_s: tuple[float, ...] = (0.0,) * len(LoopPart)
     """Wall time of the slowest tick of the last second by :class:`LoopPart`."""
     part_cpu_s: tuple[float, ...] = (0.0,) * len(LoopPart)
+    """CPU time of the same."""
+    ticks_s: tuple[float, ...] = ()
+    """Wall time of each tick of the last second, without its late beginning."""
+    ticks_cpu_s: tuple[float, ...] = ()
     """CPU time of the same."""
     process: ProcessStats | None = None
 

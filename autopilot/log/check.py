@@ -390,12 +390,29 @@ def _health_rows(flight: FlightRecord) -> list[BoundRow]:
         # The counter runs since the service started, which may have been long before this log.
         earlier = int(loop["overruns"][0]) if seconds(loop)[0] > FIRST_STATS_S else 0
         rows.append(counted("loop overruns", int(loop["overruns"].max()) - earlier))
+        rows += tick_rows(loop)
         rows.append(info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max()), slowest_part(loop)))
     dropped = int(loop["dropped_log"].max()) if loop is not None else 0
     rows.append(counted("log messages lost", max(dropped, sequence_gaps(flight.log))))
     if flight.log.problems:
         rows.append(counted("log damage", len(flight.log.problems), "; ".join(flight.log.problems)))
     return rows
+
+
+def tick_rows(loop: MessageTable) -> list[BoundRow]:
+    """Wall time of the ticks, with their CPU time; none of a log of older versions."""
+    names = loop.dtype.names or ()
+    if "ticks_s" not in names or not loop["ticks_s"].any():
+        return []
+    return [
+        info(
+            f"tick p{percent}",
+            "ms",
+            1e3 * float(np.percentile(loop["ticks_s"], percent)),
+            f"of the wall's clock; of CPU {1e3 * float(np.percentile(loop['ticks_cpu_s'], percent)):.2f} ms",
+        )
+        for percent in (50, 99)
+    ]
 
 
 def slowest_part(loop: MessageTable) -> str:

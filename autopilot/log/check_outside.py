@@ -5,6 +5,7 @@ import struct
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.marks import ServiceThread
 from autopilot.log.analysis import FlightRecord, seconds
 from autopilot.log.reader import MessageTable
 from autopilot.log.rows import BoundRow, at_most, row
@@ -21,6 +22,8 @@ MOST_GROWTH = 1.2
 """Memory at the end of the log over that in its middle,"""
 LEAST_GROWTH_S = 60.0
 """if that was so long before."""
+LEAST_CPU_MS_S = 1.0
+"""CPU time per second of the vehicle's: threads below are not listed."""
 TIMESYNC, ACK, ACK_ACCEPTED, ACK_IN_PROGRESS = 111, 77, 0, 5
 MAVLINK2 = 0xFD
 
@@ -96,7 +99,20 @@ def process_rows(flight: FlightRecord) -> list[BoundRow]:
     else:
         rows.append(row("Service", "log queue", "", depth, f"{size}; in lockstep the loop waits"))
     rows.append(row("Service", "longest garbage collection", "ms", 1e3 * float(table["collect_s"].max())))
-    return rows
+    return rows + _thread_rows(table)
+
+
+def _thread_rows(table: MessageTable) -> list[BoundRow]:
+    """CPU time of the threads that take some, the most first; none of a log of older versions."""
+    if "thread_cpu_s" not in (table.dtype.names or ()):
+        return []
+    mean_ms, most_ms = 1e3 * table["thread_cpu_s"].mean(axis=0), 1e3 * table["thread_cpu_s"].max(axis=0)
+    order = sorted(ServiceThread, key=lambda thread: -mean_ms[thread])
+    return [
+        row("Service", f"CPU, {thread.name.lower()}", "ms/s", float(mean_ms[thread]), f"at most {most_ms[thread]:.0f}")
+        for thread in order
+        if mean_ms[thread] >= LEAST_CPU_MS_S
+    ]
 
 
 def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:

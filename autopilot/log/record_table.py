@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.marks import STATS_EVERY_TICKS, ServiceThread
 from autopilot.core.messages import (
     MAX_THRUSTERS,
     AidStatus,
@@ -36,6 +37,8 @@ from autopilot.log.packing.record_values import (
     still_values,
 )
 from autopilot.log.sample_table import MessageRow
+
+_THREADS = ", ".join(thread.name.lower() for thread in ServiceThread)
 
 MAX_NODES = 81
 """Places of a prediction whose tube is logged: those of 80 uniform intervals."""
@@ -353,7 +356,7 @@ float64 value  # the new one
         of=LoopStats,
         type="LoopStats",
         topics=("/sys/loop",),
-        fields="""
+        fields=f"""
 float64 tick_s  # longest tick of the last second
 float64 cpu_s  # CPU seconds of the last second
 uint32 overruns  # ticks that began late, so far
@@ -362,18 +365,25 @@ uint32 dropped_frames  # pictures that detection did not follow
 uint8 late_part  # what most of the slowest tick of the second went into: 0 wait, 1 device, 2 vision, 3 receive
 float64[12] part_s  # its wall time: as late_part, 4 estimate, 5 mavlink, 6 decide, 7 control
 float64[12] part_cpu_s  # its CPU time: as part_s, 8 allocate, 9 write, 10 send, 11 record
+float32[{STATS_EVERY_TICKS}] ticks_s  # wall time of each tick of the last second
+float32[{STATS_EVERY_TICKS}] ticks_cpu_s  # CPU time of the same
 """,
+        put={
+            "ticks_s": lambda stats: padded(stats.ticks_s, STATS_EVERY_TICKS),
+            "ticks_cpu_s": lambda stats: padded(stats.ticks_cpu_s, STATS_EVERY_TICKS),
+        },
     ),
     RecordRow(
         of=ProcessStats,
         type="ProcessStats",
         topics=("/sys/process",),
-        fields="""
+        fields=f"""
 uint64 rss  # bytes of memory that are resident, 0 = the system does not say
 uint32 log_queue  # messages that wait for the writer of the log
 uint64 log_queue_bytes  # what they take
 uint16 threads  # of the process
 float64 collect_s  # longest pause of the garbage collector in the last second
+float64[{len(ServiceThread)}] thread_cpu_s  # CPU seconds of the last second: {_THREADS}
 """,
         put={"rss": lambda stats: stats.rss_bytes},
     ),

@@ -10,6 +10,7 @@ from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import lengths_m
+from autopilot.core.marks import ServiceThread
 from autopilot.log import analysis
 from autopilot.log.analysis import (
     FlightRecord,
@@ -26,7 +27,7 @@ from autopilot.log.analysis import (
     thruster_names,
 )
 from autopilot.log.check_more import MOST_REPROJECTION_PX
-from autopilot.log.check_outside import round_trips
+from autopilot.log.check_outside import LEAST_CPU_MS_S, round_trips
 from autopilot.log.description import RunDescription
 from autopilot.log.plan_summary import MetCurrent, MovedObstacle, met_current, moved_obstacles
 from autopilot.log.report_draw import (
@@ -377,9 +378,8 @@ class Plots:
             t_s = seconds(loop)
             tick = [Curve(name="longest tick of a second", t_s=t_s, values=1e3 * loop["tick_s"])]
             plots["Loop"] = self._sheet.plot("time [ms]", tick, (TICK_MS,), log_scale=True)
-            plots["CPU time per second"] = self._sheet.plot(
-                "CPU time [s]", [Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])]
-            )
+            whole = Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])
+            plots["CPU time per second"] = self._sheet.plot("CPU time [s]", [whole, *self._threads()])
             lost = [
                 Curve(name=name, t_s=t_s, values=loop[field].astype(float), steps=True)
                 for name, field in (
@@ -405,6 +405,17 @@ class Plots:
                 curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)
                 plots[title] = self._sheet.plot(label, [curve])
         return plots
+
+    def _threads(self) -> list[Curve]:
+        """CPU time of the threads that take some."""
+        process = self._flight.table("/sys/process")
+        if process is None or "thread_cpu_s" not in (process.dtype.names or ()):
+            return []
+        return [
+            Curve(name=thread.name.lower(), t_s=seconds(process), values=process["thread_cpu_s"][:, thread])
+            for thread in ServiceThread
+            if 1e3 * process["thread_cpu_s"][:, thread].mean() >= LEAST_CPU_MS_S
+        ]
 
     def _bound(self, name: str) -> tuple[float, ...]:
         run = self._flight.run

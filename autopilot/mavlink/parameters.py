@@ -192,10 +192,14 @@ class Parameters:
             self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
 
     def on_extended(self, peer: MavlinkPeer, msg: Message) -> None:
-        """PARAM_EXT_REQUEST_READ, _LIST, _SET: for parameters longer than 32 bits, which there are none of. Only a
-        change has an answer that refuses it."""
+        """PARAM_EXT_REQUEST_READ, _LIST, _SET: for parameters longer than 32 bits, which there are none of. A list has
+        no answer that refuses it, only the text, which is limited; the protocol has none for reading either, but
+        PARAM_ERROR says that there is no such parameter."""
         self._ctx.text(notices.EXTENDED_PARAMETERS(), peer)
-        if msg.get_msgId() == mav.MAVLINK_MSG_ID_PARAM_EXT_SET:
+        number = msg.get_msgId()
+        if number == mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ:
+            self._refuse(peer, msg.param_id, msg.param_index, _MISSING)
+        elif number == mav.MAVLINK_MSG_ID_PARAM_EXT_SET:
             name, value = (text.encode("ascii", errors="replace") for text in (msg.param_id, msg.param_value))
             refused = mav.PARAM_ACK_VALUE_UNSUPPORTED
             self._ctx.send(peer, mav.MAVLink_param_ext_ack_message(name, value, msg.param_type, refused))

@@ -22,12 +22,19 @@ from autopilot.core.errors import AutopilotError
 from autopilot.core.messages import Inputs, LoopStats, NavHealth, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame
-from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Link
 from autopilot.drivers.retry import DeviceState
 from autopilot.run.config import EffectiveSettings, system_id
-from autopilot.run.doctor_computer import ThreadMeter, judge_load
+from autopilot.run.doctor_computer import (
+    CONTROL_S,
+    FLOWN_S,
+    FlightLoads,
+    FlightTests,
+    ServiceLoad,
+    ThreadMeter,
+    judge_load,
+)
 from autopilot.run.doctor_links import ListeningLink, Speaker, company
 from autopilot.run.doctor_samples import judge_samples
 from autopilot.run.findings import Finding, FindingSeverity, silent_remedy
@@ -35,9 +42,6 @@ from autopilot.run.hardware import NAMES, HardwareVehicle
 from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
 from autopilot.run.session import Session
 from autopilot.run.vehicle_config import VehicleConfig
-
-FlightLoad = Callable[[Vehicle, int], float]
-"""Share of a core that the controller of a vehicle takes in flight with an MPC_COST."""
 
 SETTLE_S = 3.0
 """Devices are opened and configured in this time; it is not counted."""
@@ -65,8 +69,13 @@ class _SettledOutputs:
         self._changed_us = 0
         self.meter = ThreadMeter()
         self._settled = False
+        self.ended = False
+        """What comes is no longer kept."""
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        self.meter.tick(len(frames))
+        if self.ended:
+            return
         self.outputs = outputs
         self.aids.update((aid.sensor, outputs.t_us) for aid in outputs.aids if aid.fused)
         reasons = tuple(reason.text for reason in self._session_of().parts.commander.arming_reasons)
@@ -100,16 +109,18 @@ def examine(
     instance: int = 0,
     speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
-    flying: FlightLoad | None = None,
+    flying: FlightTests | None = None,
 ) -> list[Finding]:
     """All findings. Runs for ``seconds`` and as long as reasons against arming still change. ``speed``: of the
-    devices' time; 0 for emulated devices, which follow the ticks and ``on_tick``. ``flying``: measures what flying
-    takes of the computer; None = the computer is not judged.
+    devices' time; 0 for emulated devices, which follow the ticks and ``on_tick``. ``flying``: what flying
+    takes of the computer is measured with it; None = the computer is not judged.
     """
     given = overrides or {}
     findings = [*_machine(), *_folders(settings)]
     with contextlib.ExitStack() as end:
         copied = end.enter_context(_copied(settings, config, instance, findings))
+        if flying is not None:
+            copied.put("log", str(Path(copied["log_dir"]) / "doctor.mcap"), "doctor")  # it takes its share in flight
         params, *_ = vehicle_params(copied, config, given, instance)
         speakers: dict[tuple[int, int], Speaker] = {}
         system = system_id(params, instance)
@@ -142,7 +153,7 @@ def _run(
     links: Sequence[Link],
     speed: float,
     on_tick: Callable[[Outputs], None],
-    flying: FlightLoad | None,
+    flying: FlightTests | None,
 ) -> tuple[Session, _SettledOutputs, list[Finding], list[Finding]]:
     """Run the service for some seconds with neutral thrusters, then close it. Findings on devices and computer."""
     made: list[Session] = []
@@ -169,12 +180,34 @@ def _run(
         assert isinstance(vehicle, HardwareVehicle)
         devices = _devices(vehicle, config)
         load = settled.meter.load()
+        settled.ended = True
+        if flying is not None:
+            cost = int(session.parts.params["MPC_COST"])
+            computer = judge_load(load, _flown(session, settled.meter, flying, config, tick), cost)
     finally:
         session.close()
-    if flying is not None:
-        added = flying(config.vehicle, 0), flying(config.vehicle, 1)
-        computer = judge_load(load, added, int(session.parts.params["MPC_COST"]), has_camera=config.has_camera)
     return session, settled, devices, computer
+
+
+def _flown(session: Session, meter: ThreadMeter, flying: FlightTests, config: VehicleConfig, tick: int) -> FlightLoads:
+    """Load while the service goes on after ``tick`` and the controller flies a vehicle of its own beside it."""
+    runtime, loads, every = session.runtime, list[ServiceLoad](), round(CONTROL_S * 1e6 / TICK_US)
+    for cost in (0, 1):
+        flight = flying.start(config.vehicle, cost)
+        try:
+            tick += 1 + runtime.late_ticks(tick + 1)
+            runtime.tick(tick * TICK_US)
+            meter.start()
+            for number in range(round(FLOWN_S * 1e6 / TICK_US)):
+                tick += 1 + runtime.late_ticks(tick + 1)
+                runtime.tick(tick * TICK_US)
+                if number % every == 0:
+                    flight.step()
+            loads.append(meter.load())
+        finally:
+            flight.close()
+    quadratic, energy = loads
+    return FlightLoads(by_cost=(quadratic, energy), horizons=flying.horizons(config.vehicle))
 
 
 def _machine() -> list[Finding]:

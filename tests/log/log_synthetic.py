@@ -70,7 +70,14 @@ LEG_S = 18.0
 VIA = np.array([[-1.60, -0.35, 0.45], [-0.625, 0.30, 0.42], [0.2, 0.55, 0.38], [0.9375, 0.70, 0.34], [1.75, 0.0, 0.30]])
 """A path from A to B that keeps 0.46 m from both cylinders and 0.3 m from the walls."""
 TANK = ((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5))
-PROCESS = ProcessStats(rss_bytes=220_000_000, log_queue=12, log_queue_bytes=9_000, threads=7, collect_s=0.002)
+PROCESS = ProcessStats(
+    rss_bytes=220_000_000,
+    log_queue=12,
+    log_queue_bytes=9_000,
+    threads=7,
+    collect_s=0.002,
+    thread_cpu_s=(0.2, 0.07, *[0.0] * 8, 0.03),
+)
 
 DESCRIPTION = RunDescription(
     scenario="paper-tank",
@@ -242,7 +249,16 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
 
 def loop_at(t_us: int, dropped: int = 0, process: ProcessStats = PROCESS) -> LoopStats:
     """A loop without troubles."""
-    return LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=dropped, process=process)
+    return LoopStats(
+        t_us=t_us,
+        tick_s=0.004,
+        cpu_s=0.3,
+        overruns=0,
+        dropped_log=dropped,
+        ticks_s=(0.002,) * 98 + (0.004,) * 2,
+        ticks_cpu_s=(0.001,) * 98 + (0.003,) * 2,
+        process=process,
+    )
 
 
 def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:

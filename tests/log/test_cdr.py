@@ -168,8 +168,8 @@ def test_fields_that_are_computed(stamp: int, a: int, b: int, yaw: float | None)
     goal = {"pos_ned_m": np.zeros(3), "speed_m_s": 0.0, "accept_radius_m": 0.0, "accept_yaw_rad": 0.0, "seq": -1}
     read = packed("/ctl/goal", yaw_rad=yaw, **goal)
     assert (read.yaw_free, read.yaw_rad, read.seq) == (*((1, 0.0) if yaw is None else (0, yaw)), -1)
-    process = packed("/sys/process", rss_bytes=a, log_queue=0, log_queue_bytes=0, threads=1, collect_s=0.0)
-    assert process.rss == a
+    idle = {"log_queue": 0, "log_queue_bytes": 0, "threads": 1, "collect_s": 0.0, "thread_cpu_s": (0.0,) * 11}
+    assert packed("/sys/process", rss_bytes=a, **idle).rss == a
     tick = packed("/in/tick", samples=(0,) * 3, mavlink_rx=(0,), overruns=0, cpu_load=0.0)
     assert (tick.samples, tick.frames) == (3, 1)
 

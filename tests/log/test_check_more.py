@@ -342,3 +342,11 @@ def test_energy_is_told_by_thruster(sound: dict[str, BoundRow]) -> None:
     energy, rest = rows["energy"].worst, rows["energy of other loads"].worst
     assert energy is not None and rest is not None
     assert rest == pytest.approx(energy - (rows["energy of the thrusters"].worst or 0.0))
+
+
+def test_ticks_and_threads_are_told_with_their_times(sound: dict[str, BoundRow]) -> None:
+    assert sound["tick p50"].worst == pytest.approx(2.0) and "of CPU 1.00 ms" in sound["tick p50"].note
+    assert sound["tick p99"].worst == pytest.approx(4.0) and "of CPU 3.00 ms" in sound["tick p99"].note
+    threads = {name: row.worst for name, row in sound.items() if name.startswith("CPU, ")}
+    assert threads == pytest.approx({"CPU, loop": 200.0, "CPU, vision": 70.0, "CPU, other": 30.0})
+    assert list(threads) == ["CPU, loop", "CPU, vision", "CPU, other"], "the most first; idle ones are not listed"

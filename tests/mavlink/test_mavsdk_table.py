@@ -35,6 +35,10 @@ def test_every_plugin_of_the_installed_package_is_in_the_table(table: ModuleType
     assert sorted(set(written) - {"plugin"}) == table.plugin_names()
     hanging = {name: line for name, line in written.items() if "hangs" in line}
     assert not hanging, "a client waits for ever"
+    idle = re.findall(r"no effect: ([^;|]*?) ?[;|]", "\n".join(written.values()))
+    assert idle == ["arm_force"], "what is acknowledged is done; MAVSDK 4.1.0 sends an order to disarm for this one"
+    steers = {"set_position_ned", "set_velocity_ned", "set_velocity_body", "set_attitude"}
+    assert steers <= set(re.split(r"[,|] ?", written["offboard"]))
 
 
 def test_two_rows_are_as_they_are_written(table: ModuleType) -> None:

@@ -128,6 +128,11 @@ def test_parameters_longer_than_32_bits_are_refused_in_words(world: World) -> No
     client.send(mav.MAVLink_param_ext_request_list_message(1, 1))
     world.run(0.1)
     assert "PARAM_EXT is not served: use PARAM_REQUEST_LIST" in client.texts()
+    for index, name in ((-1, b"SPD_CRUISE"), (3, b"")):  # at once: the text would be limited
+        request = mav.MAVLink_param_ext_request_read_message(1, 1, name, index)
+        (error,) = client.ask(request, "PARAM_ERROR", 0.1)
+        missing = mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
+        assert (error.param_id, error.param_index, error.error) == (name.decode(), index, missing)
     real = mav.MAV_PARAM_EXT_TYPE_REAL32
     (ack,) = client.ask(
         mav.MAVLink_param_ext_set_message(1, 1, b"SPD_CRUISE", struct.pack("<f", 0.3), real), "PARAM_EXT_ACK", 0.1

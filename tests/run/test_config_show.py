@@ -36,3 +36,12 @@ def test_a_copy_to_edit_loads(name: str, tmp_path: Path) -> None:
     assert load_config(str(tmp_path / "mine.toml")).file == load_config(name).file
     again = CliRunner().invoke(config, ["new", "mine", "--out", str(tmp_path)])
     assert isinstance(again.exception, ConfigError) and "choose another name" in str(again.exception)
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_write_is_another_word_for_new_and_copies_the_shipped_one_of_that_name(name: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(config, ["write", name, "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert load_config(str(tmp_path / f"{name}.toml")).file == load_config(name).file
+    listed = CliRunner().invoke(config, ["--help"]).output
+    assert "new " in listed and "write " not in listed.partition("Commands:")[2]

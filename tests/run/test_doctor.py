@@ -17,7 +17,7 @@ from autopilot.cli.doctor_command import doctor as command
 from autopilot.command import failsafes
 from autopilot.command.failsafe_table import ROWS
 from autopilot.core.messages import Failsafe, Outputs
-from autopilot.core.vehicle import load_vehicle
+from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.drivers.ardusub_settings import RULES
 from autopilot.drivers.links import open_link
 from autopilot.mission.plan_files import write_plan
@@ -25,6 +25,7 @@ from autopilot.run.children import free_port
 from autopilot.run.config import gather, vehicle_defaults
 from autopilot.run.demo import paper_plan
 from autopilot.run.doctor import examine
+from autopilot.run.doctor_computer import CONTROL_S, FLOWN_S, FlightTests
 from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.neutral_time import measure
 from autopilot.run.vehicle_config import VehicleConfig, load_config
@@ -81,14 +82,14 @@ class Bench:
         write_plan(path, paper_plan(1))
         return path
 
-    def look(self, seconds: float = 2.0) -> list[Finding]:
+    def look(self, seconds: float = 2.0, flying: FlightTests | None = None) -> list[Finding]:
         """What the doctor finds."""
         config = self.config
         given: dict[str, object] = {"connect": (f"udpin:127.0.0.1:{self.port}",)}
         if self.planned:
             given["plan"] = str(self.plan())
         settings = gather(vehicle_defaults(0), given, {}, file=config.file.service.given(self.folder))
-        return examine(config, settings, seconds, speed=0.0, on_tick=self._tick)
+        return examine(config, settings, seconds, speed=0.0, on_tick=self._tick, flying=flying)
 
     def measured(self) -> Finding:
         """How long thrust goes on in silence."""
@@ -404,3 +405,32 @@ def test_thrusters_turn_only_after_asking(bench: Bench) -> None:
     given = ["--config", str(bench.config.path), "--measure-neutral"]
     done = CliRunner().invoke(command, given, input="n\n")
     assert done.exit_code == 1 and "propellers off" in done.output and "Doctor" not in done.output
+
+
+class Flights:
+    """Count what is flown."""
+
+    def __init__(self) -> None:
+        self.steps, self.costs, self.closed = 0, list[int](), 0
+
+    def start(self, vehicle: Vehicle, cost: int) -> "Flights":
+        self.costs.append(cost)
+        return self
+
+    def step(self) -> None:
+        self.steps += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def horizons(self, vehicle: Vehicle) -> dict[float, float]:
+        return {8.0: 1.0}
+
+
+def test_flights_go_on_beside_the_service_and_change_nothing_else(bench: Bench) -> None:
+    flights = Flights()
+    found = {f.what: f.found for f in bench.look(flying=flights)}
+    assert (flights.costs, flights.closed) == ([0, 1], 2)
+    assert flights.steps == 2 * round(FLOWN_S / CONTROL_S), "as many as the ticks call for"
+    assert {"computer", "in flight", "at most"} <= set(found)
+    assert found["attitude"].startswith("100."), "what comes during the flights is not counted"

@@ -1,16 +1,20 @@
 """The loop: order of things, late ticks, stopping."""
 
+import sys
+import threading
+import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
-from autopilot.core.marks import LoopPart, TickTimer
+from autopilot.core.marks import LoopPart, ServiceThread, TickTimer
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.drivers.protocols import Received
 from autopilot.run.clocks import LockstepClock
+from autopilot.run.loop_account import ThreadTimes
 from autopilot.run.runtime import Runtime
 
 
@@ -158,6 +162,8 @@ def test_the_loop_names_the_part_that_made_a_tick_late() -> None:
         assert recorder.stats[-1].late_part is part
         assert recorder.stats[-1].part_s[part] == pytest.approx(0.05)
         assert recorder.stats[-1].tick_s == pytest.approx(0.05)
+        assert sorted(recorder.stats[-1].ticks_s) == pytest.approx([0.0] * 99 + [0.05])
+        assert len(recorder.stats[-1].ticks_cpu_s) == 100
 
 
 def test_frames_reach_their_links() -> None:
@@ -206,3 +212,27 @@ def test_that_the_cpu_clock_is_read_after_long_parts_only() -> None:
         assert watch.part_s[part] == pytest.approx(took_s)
         assert watch.part_cpu_s[part] == pytest.approx(busy_s)
     assert asked[0] == begun + 1
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel's clocks of threads")
+def test_the_cpu_time_of_threads_is_told_apart() -> None:
+    ended, times = threading.Event(), ThreadTimes()
+
+    def work() -> None:
+        begin_s = time.thread_time()
+        while time.thread_time() - begin_s < 0.05:
+            pass
+        ended.wait()
+
+    threads = [threading.Thread(target=work, name=name) for name in ("vision_0", "view http", "trajectories_0")]
+    for thread in threads:
+        thread.start()
+    taken_s = np.array(times.take(0.0))
+    while not taken_s[[ServiceThread.VISION, ServiceThread.VIEW, ServiceThread.TRAJECTORIES]].min() >= 0.05:
+        taken_s += times.take(0.05)
+    ended.set()
+    for thread in threads:
+        thread.join()
+    assert taken_s[ServiceThread.LOOP] > 0.0 and taken_s[ServiceThread.LOG] == 0.0
+    left_s = times.take(100.0)
+    assert sum(left_s) == pytest.approx(100.0) and left_s[ServiceThread.OTHER] > 50.0, "what is left of the process"
