@@ -17,17 +17,24 @@ FIGURES = ROOT / "tests" / "data" / "ardusub_suite.json"
 _BLOCK = re.compile(r"(<!-- ardusub:begin -->\n).*?(<!-- ardusub:end -->)", re.S)
 
 
+def shown(seen: str) -> str:
+    """Without what its column says, or every mission with a simulated compass."""
+    for known in ("told after ", "neutral after ", "; FC: Compass performance degraded"):
+        seen = seen.replace(known, "")
+    return seen.replace("|", "/")
+
+
 def table() -> str:
     """One row per case."""
     recording: dict[str, Any] = json.loads(FIGURES.read_text(encoding="utf-8"))
     cases = recording["cases"]
-    lines = ["| case | must | seen | verdict |", "| --- | --- | --- | --- |"]
+    lines = ["case|must|seen|verdict", "---|---|---|---"]
     lines += [
-        f"| {name} | {one['must']} | {one['seen'].replace('|', '/')} | {'ok' if one['good'] else '**no**'} |"
-        for name, one in cases.items()
+        f"{name}|{one['must']}|{shown(one['seen'])}|{'ok' if one['good'] else '**no**'}" for name, one in cases.items()
     ]
     good = sum(one["good"] for one in cases.values())
-    return "\n".join([f"ArduSub {recording['ardusub']}: {good} of {len(cases)} cases.", "", *lines])
+    told = f"{good} of {len(cases)} cases; not shown: each mission's warning of the simulated compass."
+    return "\n".join([f"ArduSub {recording['ardusub']}: {told}", "", *lines])
 
 
 def written(text: str) -> str:
