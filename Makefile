@@ -48,9 +48,11 @@ sanitize: $(VENV)/tools
 mutations: $(VENV)/tools
 	$(BIN)/python -m tests.mutate --seed 1 --places 200
 
-# With ArduSub's own simulation, built from its sources: make ardusub-suite ARDUSUB=.../build/sitl/bin/ardusub
+# With ArduSub's own simulation, built from its sources: make ardusub-suite ARDUSUB=.../build/sitl/bin/ardusub; with
+# RECORD=1 its figures are kept and docs/hardware.md is written. Without ARDUSUB: the emulated one, against these figures.
 ardusub-suite: $(VENV)/tools
-	$(BIN)/python -m tests.bench.ardusub $(if $(ARDUSUB),--ardusub $(ARDUSUB))
+	$(BIN)/python -m tests.bench.ardusub $(if $(ARDUSUB),--ardusub $(ARDUSUB) $(if $(RECORD),--record))
+	$(if $(RECORD),$(BIN)/python docs/ardusub_page.py --write)
 
 bench: $(VENV)/installed
 	$(BIN)/autopilot bench

@@ -77,7 +77,7 @@ def emulate(
             away = float(((truth.pos_ned_m - start) ** 2).sum()) ** 0.5
             flight.max_distance_m = max(flight.max_distance_m, away)
             if track is not None and t_us % 100_000 == 0:
-                row = [1e-6 * t_us, *truth.pos_ned_m.tolist(), float(truth.rpy_rad[2]), *vehicle.controller.servos_us]
+                row = [1e-6 * t_us, *truth.pos_ned_m.tolist(), *truth.rpy_rad.tolist(), *vehicle.controller.servos_us]
                 track.write(encoder.encode(row) + b"\n")
     finally:
         truth = vehicle.truth

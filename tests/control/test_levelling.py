@@ -1,6 +1,7 @@
 """Levelling on the plant: pushing ahead tilts a heavy frame over; the inner loop holds it and leaves the axes alone."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import msgspec
@@ -136,21 +137,37 @@ def test_a_bluerov2_that_goes_ahead_nose_up_keeps_its_depth() -> None:
     assert rose_m[0] < 0.3 * rose_m[1], rose_m
 
 
+def pitches(vehicle: Vehicle, ticks: int, surge_n: Callable[[int], float]) -> FloatArray:
+    """Of a vehicle that is pushed ahead so, tick by tick."""
+    actuation, allocator = Actuation(vehicle, ParamSet()), ControlAllocator.of(vehicle)
+    plant, pitch = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0)), []
+    for tick in range(ticks):
+        t_us, nav = tick * TICK_US, nav_of(plant.truth)
+        actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
+        ahead = allocator.thrust_n(np.array([surge_n(tick), 0.0, 1.0, 0.0]), actuation.limit_n)
+        plant.advance(t_us + TICK_US, actuation.command(t_us, ahead, armed=True).pwm_us[:6])
+        pitch.append(plant.truth.rpy_rad[1])
+    return np.array(pitch)
+
+
 def test_a_bluerov2_that_starts_ahead_hardly_swings_past_its_pitch() -> None:
     """By so much does its pitch go on beyond the steady one; the hull's own damping is 4 % of the critical one."""
-    past_rad = []
-    for vehicle in BOTH:
-        actuation, allocator = Actuation(vehicle, ParamSet()), ControlAllocator.of(vehicle)
-        plant, pitch = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0)), []
-        for tick in range(2000):
-            t_us, nav = tick * TICK_US, nav_of(plant.truth)
-            actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
-            ahead = allocator.thrust_n(np.array([6.0, 0.0, 1.0, 0.0]), actuation.limit_n)
-            plant.advance(t_us + TICK_US, actuation.command(t_us, ahead, armed=True).pwm_us[:6])
-            pitch.append(plant.truth.rpy_rad[1])
-        past_rad.append(max(np.abs(pitch)) - abs(np.mean(pitch[-250:])))
-    damped, free = past_rad
-    assert damped < 0.25 * free and free > math.radians(3.0), past_rad
+    damped, free = (
+        max(np.abs(pitch)) - abs(np.mean(pitch[-250:]))
+        for pitch in (pitches(vehicle, 2000, lambda _: 6.0) for vehicle in BOTH)
+    )
+    assert damped < 0.25 * free and free > math.radians(3.0), (damped, free)
+
+
+@pytest.mark.parametrize(("first_n", "then_n"), [(8.0, 2.0), (6.0, -6.0)])
+def test_thrust_that_changes_in_step_with_the_swing_of_a_bluerov2_swings_it_less(first_n: float, then_n: float) -> None:
+    """The worst that a controller can do, which does not know of pitch: its swing takes 2.2 s."""
+    half, mean = 110, np.full(201, 1.0 / 201.0)
+    damped, free = (
+        float(np.std((pitch[100:-100] - np.convolve(pitch, mean, "valid"))[400:]))
+        for pitch in (pitches(vehicle, 1600, lambda tick: then_n if tick // half % 2 else first_n) for vehicle in BOTH)
+    )
+    assert damped < 0.7 * free and free > math.radians(5.0), (damped, free)
 
 
 @pytest.mark.parametrize("name", ["bluerov2", "bluerov2-heavy"])

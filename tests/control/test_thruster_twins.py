@@ -119,7 +119,8 @@ def test_sound_twins_are_not_blamed(name: str) -> None:
 
 @pytest.mark.parametrize("lost", [4, 5])
 def test_which_vertical_of_a_bluerov2_is_dead_shows_in_its_roll(lost: int) -> None:
-    said = manoeuvre(SHIPPED["bluerov2"], lost, 16.0, seed=lost)
+    """Within 16 s by six of eight seeds of the noise, within 26 s by all."""
+    said = manoeuvre(SHIPPED["bluerov2"], lost, 26.0, seed=lost)
     assert np.flatnonzero(said.effectiveness < 1.0).tolist() == [lost]
     assert said.doubtful == ()
 

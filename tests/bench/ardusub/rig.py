@@ -15,8 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+import autopilot
+from autopilot.mission.local_plan import LocalPlan, plan_of_local
 from autopilot.mission.paper import paper_plan
-from autopilot.mission.plan_files import read_plan, write_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import LOCAL, autopilot_command, free_port
 from autopilot.sitl.scenario import load_scenario, plan_path
 from tests.bench.ardusub.links import Link
@@ -39,6 +43,7 @@ SIMULATED = {"SIM_BARO_RND": 0.005, "SIM_BAR2_RND": 0.005, "SIM_BAR3_RND": 0.005
 LEAK_BIT = 2.0
 """SIM_PIN_MASK with pin 1 up."""
 HOME = "37.9755,23.779,0,0"
+SHIPPED = Path(autopilot.__file__).parent / "data" / "vehicles"
 VEHICLES = {"vectored": "bluerov2", "vectored_6dof": "bluerov2-heavy"}
 PLACES = {"vectored": "paper-tank", "vectored_6dof": "pool"}
 """Scenarios: the Heavy is too wide for the tank's cylinders."""
@@ -49,7 +54,10 @@ PREARM = 1 << 28
 READY_S, END_S = 120.0, 60.0
 MANUAL, STABILIZE, DEPTH_HOLD, SURFACE = 19, 0, 2, 9
 Process = subprocess.Popen[bytes]
-ARM, SET_MODE, REBOOT, MISSION_START, INTERVAL = 400, 176, 246, 300, 511
+ARM, SET_MODE, REBOOT, MISSION_START, INTERVAL, REQUEST = 400, 176, 246, 300, 511, 512
+AUTOPILOT_VERSION = 148
+KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc", 255: ""}
+"""FIRMWARE_VERSION_TYPE."""
 SERVO_OUTPUT_RAW = 36
 FORCE = 21_196.0
 
@@ -76,18 +84,28 @@ class Rig:
         parameters: Mapping[str, float] | None = None,
         ours: Sequence[str] = (),
         file_frame: str | None = None,
+        place: str | None = None,
+        laps: int | None = None,
+        markers: bool = False,
+        levelling: bool = True,
     ) -> None:
         """``parameters``: ArduSub's, beside :data:`PARAMETERS`; ``ours``: the service's, NAME=VALUE; ``file_frame``:
-        what the service's file says, if it is not the truth."""
+        what the service's file says, if it is not the truth; ``place``: scenario, if not that of the frame; ``laps``
+        of the mission, if not the shipped ones (one in the tank); ``markers`` on the floor, seen by the vehicle's
+        camera, instead of a tracking system; without ``levelling`` the service's vehicle has no such table."""
         folder.mkdir(parents=True)
         self.folder, self.below, self.frame = folder, below, frame
-        self._place = load_scenario(PLACES[frame])
+        self.figures: dict[str, float] = {}
+        """What was measured, by name and unit."""
+        self._scenario, self._laps, self._levelling = place or PLACES[frame], laps, levelling
+        self._camera_port = free_port() if markers else None
+        self._place = load_scenario(self._scenario)
         self._ours = [*ours, *(f"{name}={value:g}" for name, value in self._place.params.items())]
         self._ended = False
         self.parameters = {**PARAMETERS, "FRAME_CONFIG": FRAMES[frame], **(parameters or {})}
         self._processes: list[Process] = []
         self.operator_port, self._flight_port = free_port(), free_port()
-        self._write_file(file_frame or frame)
+        self.version = ""
         self.ardusub: Process | None = None
         self.water: Process
         if below.program is None:
@@ -97,6 +115,7 @@ class Rig:
         self.service: Process | None = None
         self._links: list[Link] = []
         try:
+            self._write_file(file_frame or frame)
             self._open()
         except BaseException:
             self.end()
@@ -108,10 +127,21 @@ class Rig:
         self.pilot.wait("HEARTBEAT", lambda m: m.get_srcSystem() == 1, READY_S, 0)
         for name, value in self.parameters.items() if self.below.program is None else ():
             self.pilot.set_parameter(name, value)
+        if self.ardusub is not None:
+            self.version = self._version()
         self.watch_outputs()
         self.operator = Link(f"udpout:{LOCAL}:{self.operator_port}")
         self._links.append(self.operator)
         self.start_service()
+
+    def _version(self) -> str:
+        """ArduSub's release and the revision that it was built from."""
+        mark = self.pilot.mark
+        self.pilot.command(REQUEST, AUTOPILOT_VERSION)
+        _, told = self.pilot.wait("AUTOPILOT_VERSION", lambda m: True, READY_S, mark)
+        major, minor, patch, kind = told.flight_sw_version.to_bytes(4, "big")
+        revision = bytes(told.flight_custom_version).decode("ascii", "replace").rstrip("\0")
+        return f"{major}.{minor}.{patch}{KINDS.get(kind, '')} ({revision})"
 
     def watch_outputs(self) -> None:
         """The pilot's link shows the thrusters at 50 Hz."""
@@ -129,18 +159,20 @@ class Rig:
         port = free_port()
         links = [f"--link=udpout:{LOCAL}:{self._flight_port}", f"--link=udpout:{LOCAL}:{port}"]
         self._pilot_address = f"udpin:{LOCAL}:{port}"
-        place = [PLACES[self.frame], "--vehicle", VEHICLES[self.frame], "--frame", self.frame]
-        self.water = self._process("water", autopilot_command("emulate", *place, *links, *self._pose))
+        self.water = self._process("water", autopilot_command("emulate", *self._water, *links))
 
     @property
-    def _pose(self) -> list[str]:
-        return [f"--pose=udpout:{LOCAL}:{self.operator_port}"]
+    def _water(self) -> list[str]:
+        """Options of who simulates the water: where, which vehicle, who tells its position."""
+        place = [self._scenario, "--vehicle", VEHICLES[self.frame], "--frame", self.frame, "--truth", "truth.jsonl"]
+        if self._camera_port is not None:
+            return [*place, "--camera", f"{LOCAL}:{self._camera_port}"]
+        return [*place, f"--pose=udpout:{LOCAL}:{self.operator_port}"]
 
     def _simulate(self, program: Path) -> None:
         self.instance = next(n for n in range(20, 90) if _is_free(9002 + 10 * n))
         listen = f"--listen={LOCAL}:{9002 + 10 * self.instance}"
-        place = [PLACES[self.frame], "--vehicle", VEHICLES[self.frame], "--frame", self.frame]
-        self.water = self._process("water", autopilot_command("physics", *place, listen, *self._pose))
+        self.water = self._process("water", autopilot_command("physics", *self._water, listen))
         self._pilot_address = f"tcp:{LOCAL}:{5762 + 10 * self.instance}"
         values = {**self.parameters, **SIMULATED}
         (self.folder / "ardusub.parm").write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
@@ -152,17 +184,56 @@ class Rig:
     def _write_file(self, frame: str) -> None:
         self.config = self.folder / "rov.toml"
         self.config.write_text(
-            f'vehicle = "{VEHICLES[frame]}"\n[place]\nname = "tank"\nbasin = "closed"\n'
+            f'vehicle = "{self._vehicle(frame)}"\n[place]\nname = "tank"\nbasin = "closed"\n{self._markers()}'
             f'[service]\nconnect = ["udpin:{LOCAL}:{self.operator_port}"]\n'
             f'log_dir = "{self.folder}/logs"\nstate_dir = "{self.folder}/state"\n'
             f'[devices.flight_controller]\ndriver = "ardusub"\nconnect = "udpin:{LOCAL}:{self._flight_port}"\n'
-            f'frame = "{frame}"\nsurface_pa = {GROUND_PA}\n'
+            f'frame = "{frame}"\nsurface_pa = {GROUND_PA}\n{self._camera()}'
         )
         self.plan = self.folder / "mission.plan"
-        scenario = PLACES[self.frame]
-        shipped = plan_path(scenario, self._place)
+        if self._scenario == "paper-tank":
+            write_plan(self.plan, paper_plan(self._laps or 1))
+            return
+        shipped = plan_path(self._scenario, self._place)
         assert shipped is not None
-        write_plan(self.plan, paper_plan(1) if scenario == "paper-tank" else read_plan(shipped))
+        local = msgspec.toml.decode(shipped.read_text(), type=LocalPlan)
+        if self._laps is not None and local.repeat is not None:
+            local = msgspec.structs.replace(local, repeat=msgspec.structs.replace(local.repeat, laps=self._laps))
+        write_plan(self.plan, plan_of_local(local))
+
+    def _vehicle(self, frame: str) -> str:
+        """Its name, or a file of our own without ``[levelling]``."""
+        if self._levelling:
+            return VEHICLES[frame]
+        text = (SHIPPED / f"{VEHICLES[frame]}.toml").read_text()
+        text = re.sub(r"^\[levelling\].*?(?=^\[)", "", text, flags=re.M | re.S)
+        own = self.folder / "vehicle.toml"
+        own.write_text(re.sub(r'^"levelling\..*\n', "", text, flags=re.M))
+        return str(own)
+
+    def _markers(self) -> str:
+        """The map, for ``[place]``."""
+        if self._camera_port is None:
+            return ""
+        floor = self.folder / "floor.toml"
+        subprocess.run(
+            autopilot_command("scenario", "markers", self._scenario, "--out", str(floor)),
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        return f'markers = "{floor}"\n'
+
+    def _camera(self) -> str:
+        """``[devices.camera]`` as the camera says it."""
+        if self._camera_port is None:
+            return ""
+        end_s = time.monotonic() + READY_S
+        while time.monotonic() < end_s:
+            found = re.search(r"^\[devices\.camera\]\n(?:\w+ = .*\n)+", (self.folder / "water.txt").read_text(), re.M)
+            if found is not None:
+                return found[0]
+            time.sleep(0.2)
+        raise TimeoutError(f"no camera: {(self.folder / 'water.txt').read_text()}")
 
     def start_service(self) -> None:
         given = [word for text in self._ours for word in ("--param", text)]
