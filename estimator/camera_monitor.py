@@ -126,6 +126,11 @@ class CameraMonitor(Monitor):
         self._focal_pending = 0.0
         """What else it seems to be off, not yet surely or not worth correcting."""
 
+    @property
+    def stamp_sigma_s(self) -> float:
+        """Standard deviation of what all stamps are off alike."""
+        return self.stamps.sigma_s or self._stamp_sigma_s
+
     def height_m(self, x: FloatArray) -> float:
         """Height of the camera over the floor with the markers [m], 0 = no such floor."""
         return 0.0 if self._floor_m is None else max(self._floor_m - x.item(DOWN) - self._camera_down_m, 0.0)
@@ -133,12 +138,12 @@ class CameraMonitor(Monitor):
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: position variance by the calibration's uncertainty at this height above the markers."""
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
-        focal_error, stamp_sigma_s, mounting = 0.0, 0.0, None
+        focal_error, stamp_sigma_s, mounting = 0.0, self.stamps.sigma_s, None
         if self._pictures:  # poses from elsewhere know nothing of the camera but that they may be late as well
             focal_error = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
-            stamp_sigma_s, mounting = self._stamp_sigma_s, self._mounting
+            stamp_sigma_s, mounting = self.stamp_sigma_s, self._mounting
         across = focal_error * CAMERA_MONITOR.aside_m
-        late_s = math.hypot(self.stamps.sigma_s or stamp_sigma_s, self.stamps.unsure_s)
+        late_s = math.hypot(stamp_sigma_s, self.stamps.unsure_s)
         if focal_error == late_s == 0.0 and mounting is None:
             return NOTHING
         north, east, down = x[VEL].tolist()

@@ -4,6 +4,7 @@ A fix inside its gate corrects the filter. Fixes outside that are mutually consi
 is the more reliable; then their source is only monitored until it is consistent again.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -75,7 +76,8 @@ class Fixes:
             aid.jumped = False
             self._learn_sheets(node, fix, known)
             if fix.tilt_rad is not None and node.moment.inertial.real and self._camera.lens_fits:
-                self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
+                stamp_sigma_s = math.hypot(fix.stamp_sigma_s, self._camera.stamp_sigma_s)
+                self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us, stamp_sigma_s)
                 self._camera.tilt_off_rad = self._trim.difference_rad
             return
         seen = self._against_reckoning(node, fix, judged)

@@ -118,6 +118,13 @@ def level(sample: AhrsSample, trim_rad: tuple[float, float] = (0.0, 0.0)) -> Ine
     )
 
 
+def tilt_rates(inertial: Inertial) -> FloatArray:
+    """(2,) rates of roll and pitch [rad/s] (Fossen 2011, eq. 2.28)."""
+    p, q, r = inertial.rate_frd_rad_s.tolist()
+    sr, cr = math.sin(inertial.roll_rad), math.cos(inertial.roll_rad)
+    return np.array((p + (sr * q + cr * r) * math.tan(inertial.pitch_rad), cr * q - sr * r))
+
+
 def down_of(inertial: Inertial, point_frd_m: tuple[float, float, float]) -> float:
     """Depth of a body point below the centre of gravity [m]."""
     sr, cr = math.sin(inertial.roll_rad), math.cos(inertial.roll_rad)

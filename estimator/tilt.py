@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from autopilot.core.samples import AhrsSample
-from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.inertial import Inertial, tilt_rates
 
 AHRS_SIGMA_RAD = math.radians(0.5)
 """Standard deviation of roll and pitch of an AHRS of this class."""
@@ -20,6 +20,8 @@ FIX_SIGMA_RAD = math.radians(0.2)
 """Added to a fix's own: errors of one picture and the next are alike. The trim then follows within 0.3 s."""
 MAX_SIGMA_RAD = math.radians(0.4)
 """Fixes whose tilt is less certain (few markers: it is the AHRS's own then) are not used."""
+LASTING = 2.0
+"""What a wrong stamp makes of a swing is alike for half of it: so much more than an error of one picture."""
 MAX_DIFFERENCE_RAD = math.radians(5.0)
 """Larger differences are wrong fixes."""
 FADE_TIME_S = 20.0
@@ -49,9 +51,19 @@ class TiltTrim:
         """Whether the tilt at ``t_us`` is vision's."""
         return self.last_fix_us is not None and t_us - self.last_fix_us <= HELD_US
 
-    def learn(self, raw: Inertial, roll_rad: float, pitch_rad: float, sigma_rad: float, t_us: int) -> None:
-        """A fix at ``t_us`` saw this tilt while the AHRS, untrimmed, showed ``raw``."""
-        seen = np.array([raw.raw_tilt_rad[0] - roll_rad, raw.raw_tilt_rad[1] - pitch_rad])
+    def learn(
+        self,
+        raw: Inertial,
+        roll_rad: float,
+        pitch_rad: float,
+        sigma_rad: float,
+        t_us: int,
+        stamp_sigma_s: float = 0.0,
+    ) -> None:
+        """A fix at ``t_us``, as far as is known, saw this tilt shortly after the AHRS, untrimmed, showed ``raw``."""
+        rates, after_s = tilt_rates(raw), 1e-6 * (t_us - raw.t_us)
+        seen = np.array([raw.raw_tilt_rad[0] - roll_rad, raw.raw_tilt_rad[1] - pitch_rad]) + after_s * rates
+        sigma_rad = math.hypot(sigma_rad, LASTING * stamp_sigma_s * float(np.abs(rates).max()))
         if not (sigma_rad <= MAX_SIGMA_RAD and float(np.abs(seen).max()) <= MAX_DIFFERENCE_RAD):
             return
         fade = self._fade(t_us)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
@@ -56,6 +57,8 @@ DISARM_SHOWN_US = 400_000
 
 GROUND_PA, WATER_KG_M3, G = 101_325.0, 998.0, PLANT.gravity_m_s2
 ACCEL_NOISE_M_S2, RATE_NOISE_RAD_S = 0.02, 0.002
+ACCEL_LAG_S = 0.005
+"""Its accelerations are low-passed: how much later they are than its attitude."""
 TILT_RAD, YAW_RAD, SLOW_S = 0.005, 0.01, 20.0
 """Slow errors of its attitude."""
 PRESSURE_NOISE_PA = 20.0
@@ -189,6 +192,8 @@ class ArduSubEmulator:
         self._sent_us = dict.fromkeys(self._rates_hz, -(1 << 62))
         self._out: list[bytes] = []
         self._rng = np.random.default_rng((seed, 70))
+        self._accel: tuple[int, FloatArray] | None = None
+        """When its low-pass was last asked, and what it had."""
         first = self._rng.standard_normal(3)
         self._slow = np.array([TILT_RAD, TILT_RAD, YAW_RAD]) * first
         self._slow_us = 0
@@ -442,6 +447,15 @@ class ArduSubEmulator:
     def _send(self, message: Any) -> None:
         self._out.append(bytes(message.pack(self._mav)))
 
+    def _filtered(self, t_us: int, truth: Truth) -> FloatArray:
+        """(3,) acceleration behind its low-pass."""
+        last = self._accel
+        passed_s = 0.0 if last is None else 1e-6 * (t_us - last[0])
+        before = truth.accel_frd_m_s2 if last is None else last[1]
+        now: FloatArray = before + passed_s / (passed_s + ACCEL_LAG_S) * (truth.accel_frd_m_s2 - before)
+        self._accel = t_us, now
+        return now
+
     def _stream(self, name: str, t_us: int, truth: Truth) -> None:
         mav, ms = self._mav, t_us // 1000
         match name:
@@ -458,7 +472,7 @@ class ArduSubEmulator:
                 yaw = math.remainder(rpy[2], 2.0 * math.pi)
                 self._send(mav.attitude_encode(ms, rpy[0], rpy[1], yaw, *rate))
             case "RAW_IMU":
-                accel = truth.accel_frd_m_s2 + ACCEL_NOISE_M_S2 * self._rng.standard_normal(3)
+                accel = self._filtered(t_us, truth) + ACCEL_NOISE_M_S2 * self._rng.standard_normal(3)
                 mg = [round(1e3 * part / G) for part in accel.tolist()]
                 turn = [round(1e3 * part) for part in truth.rate_frd_rad_s.tolist()]
                 self._send(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))

@@ -1,11 +1,13 @@
 """The ArduSub driver against the emulated flight controller, over UDP; time is handed in to both."""
 
 import contextlib
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega
 
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.frames import r_ned_from_frd
@@ -13,8 +15,10 @@ from autopilot.core.messages import Authority
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.ardusub import ArduSub, ArduSubOptions
+from autopilot.drivers.ardusub_telemetry import ArduSubTelemetry
 from autopilot.drivers.devices import read_devices
 from autopilot.drivers.links import open_link
+from autopilot.estimator.inertial import level
 from autopilot.run.children import free_port
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.scenario import load_scenario, with_vehicle
@@ -135,6 +139,25 @@ def test_it_measures_what_the_vehicle_does(bench: Bench) -> None:
     stamps = np.diff([sample.t_us for sample in ahrs])
     assert stamps.min() > 0
     assert not any(sample.wet for sample in bench.samples if isinstance(sample, LeakSample))
+
+
+@pytest.mark.parametrize("first", ["RAW_IMU", "ATTITUDE"])
+def test_gravity_stays_down_while_it_swings(first: str) -> None:
+    """Its accelerations are older than its attitude: by a filter, and by a message when they come after it."""
+    telemetry = ArduSubTelemetry(load_vehicle("bluerov2"), density_kg_m3=998.0, depth_sigma_m=0.01, ground_pa=None)
+    mav, worst_m_s2, per_s = ardupilotmega, 0.0, 2.5
+    for k in range(1, 400):
+        t_us = 10_000 * k
+        pitch, rate = 0.3 * math.sin(per_s * 1e-6 * t_us), 0.3 * per_s * math.cos(per_s * 1e-6 * t_us)
+        before = 0.3 * math.sin(per_s * (1e-6 * t_us - 0.005))
+        gravity = [round(1000.0 * part) for part in (math.sin(before), 0.0, -math.cos(before))]
+        imu = mav.MAVLink_raw_imu_message(t_us, *gravity, 0, 0, 0, 0, 0, 0)
+        attitude = mav.MAVLink_attitude_message(t_us // 1000, 0.0, pitch, 0.0, 0.0, rate, 0.0)
+        both = (imu, attitude) if first == "RAW_IMU" else (attitude, imu)
+        for sample in (sample for message in both for sample in telemetry.take(t_us, message)):
+            assert isinstance(sample, AhrsSample)
+            worst_m_s2 = max(worst_m_s2, abs(level(sample).accel_level_m_s2[0]))
+    assert worst_m_s2 < 0.02, "gravity by the attitude of then would be 0.04 or 0.11 off"
 
 
 def test_its_depth_is_that_of_the_pressure_sensor(bench: Bench) -> None:

@@ -1,5 +1,7 @@
 """The trim tells the AHRS's changing error from the camera's constant mounting."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,3 +58,21 @@ def test_without_fixes_it_decays_and_is_not_fresh() -> None:
     later_us = t_us + 20_000_000
     assert trim.fresh(t_us) and not trim.fresh(later_us)
     assert trim.at(ahrs(later_us, 0.0))[1] == pytest.approx(0.012 * np.exp(-1.0), abs=0.001)
+
+
+@pytest.mark.parametrize("late_s", [-0.02, 0.0, 0.02])
+def test_stamps_that_are_off_while_it_swings_are_not_the_ahrs_s_error(late_s: float) -> None:
+    """A hull that swings by 0.2 rad; pictures come between two samples of the AHRS."""
+    trim, worst_rad = TiltTrim(0.0), 0.0
+    swing_rad, per_s, stamp_sigma_s = 0.2, 2.5, 0.01
+
+    def pitch(t_s: float) -> float:
+        return float(swing_rad * np.sin(per_s * t_s))
+
+    for k in range(1, 300):
+        ahrs_us = 10_000 * (EVERY_US * k // 10_000)
+        t_s, rate = 1e-6 * EVERY_US * k, swing_rad * per_s * np.cos(per_s * 1e-6 * ahrs_us)
+        sample = replace(ahrs(ahrs_us, pitch(1e-6 * ahrs_us)), rate_frd_rad_s=np.array([0.0, rate, 0.0]))
+        trim.learn(level(sample, (0.0, 0.0)), 0.0, pitch(t_s - late_s), 0.002, EVERY_US * k, stamp_sigma_s)
+        worst_rad = max(worst_rad, abs(trim.at(sample)[1]))
+    assert worst_rad < (0.0003 if late_s == 0.0 else 0.005), "of 0.01 that the stamp makes of the swing"
