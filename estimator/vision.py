@@ -175,6 +175,8 @@ class MarkerDetector:
         cell, and what is there is compared with them. None if too few are found so; those that are not."""
         part = _Part.middle_of(smooth, _share_with(VISION.guides, predicted, smooth.shape))
         near = part.near(predicted - part.corner_px, VISION.hint_margin_px)
+        if not near.any():
+            return None
         near_ids, sides_px = np.unique(ids[near]), perimeters_px(predicted[near]) / 4.0
         dictionary = self._dictionary_of(near_ids)
         least_px, most_px = max(float(sides_px.min()), VISION.min_side_px), float(sides_px.max())

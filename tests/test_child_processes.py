@@ -18,6 +18,7 @@ HELPER = "autopilot/core/own_python.py"
 OURS = ("python_command", "autopilot_command")
 
 PLACES: dict[tuple[str, str], str] = {
+    ("tests/bench/ardusub/rig.py", "_markers"): "ours",
     ("tests/bench/ardusub/rig.py", "_process"): "given",
     ("tests/bench/ardusub/rig.py", "upload"): "ours",
     ("tests/bench/attitude.py", "bench_attitude"): "pool",

@@ -12,6 +12,9 @@ from autopilot.log.reader import Log
 MACHINE = (
     "solve time",
     "longest tick",
+    "tick p50",
+    "tick p99",
+    "CPU, ",
     "loop overruns",
     "control steps beyond their period",
     "log messages lost",
