@@ -4,17 +4,16 @@ The table stands between the lines ``ardusub:begin`` and ``ardusub:end`` and com
 tests.bench.ardusub --ardusub PATH --record`` keeps. Without ``--write`` the exit code says whether it is current.
 """
 
-import argparse
 import json
-import re
 import sys
 from pathlib import Path
 from typing import Any
 
+from generated_block import GeneratedBlock
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "hardware.md"
 FIGURES = ROOT / "tests" / "data" / "ardusub_suite.json"
-_BLOCK = re.compile(r"(<!-- ardusub:begin -->\n).*?(<!-- ardusub:end -->)", re.S)
 
 
 def shown(seen: str) -> str:
@@ -37,25 +36,9 @@ def table() -> str:
     return "\n".join([f"ArduSub {recording['ardusub']}: {told}", "", *lines])
 
 
-def written(text: str) -> str:
-    """The page with the table as it should be."""
-    found, count = _BLOCK.subn(lambda block: f"{block[1]}{table()}\n{block[2]}", text)
-    if count != 1:
-        raise SystemExit(f"{PAGE}: the lines ardusub:begin and ardusub:end are missing")
-    return found
-
-
-def main() -> int:
-    """0 = current (or written)."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="bring the page in line")
-    write = parser.parse_args().write
-    before = PAGE.read_text(encoding="utf-8")
-    after = written(before)
-    if write:
-        PAGE.write_text(after, encoding="utf-8")
-    return 0 if write or before == after else 1
+BLOCK = GeneratedBlock(PAGE, "ardusub", table)
+written = BLOCK.written
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(BLOCK.main(__doc__))

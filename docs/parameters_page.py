@@ -4,15 +4,15 @@ The table stands between the lines ``parameters:begin`` and ``parameters:end`` a
 :mod:`autopilot.core.params`. Without ``--write`` the exit code says whether it is current.
 """
 
-import argparse
 import re
 import sys
 from pathlib import Path
 
+from generated_block import GeneratedBlock
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "parameters.md"
 ACTIONS = "0 = warn, 1 = hold, 2 = surface, 3 = return, 4 = disarm, 5 = surface and drop the weight, 6 = hand back"
-_BLOCK = re.compile(r"(<!-- parameters:begin -->\n).*?(<!-- parameters:end -->)", re.S)
 _NUMBERED = re.compile(r"^(BTN|THR)\d+(_\w+)$")
 
 
@@ -40,26 +40,10 @@ def table() -> str:
     return "\n".join(lines)
 
 
-def written(text: str) -> str:
-    """The page with the table as it should be."""
-    found, count = _BLOCK.subn(lambda block: f"{block[1]}{table()}\n{block[2]}", text)
-    if count != 1:
-        raise SystemExit(f"{PAGE}: the lines parameters:begin and parameters:end are missing")
-    return found
-
-
-def main() -> int:
-    """0 = current (or written)."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="bring the page in line")
-    write = parser.parse_args().write
-    before = PAGE.read_text(encoding="utf-8")
-    after = written(before)
-    if write:
-        PAGE.write_text(after, encoding="utf-8")
-    return 0 if write or before == after else 1
+BLOCK = GeneratedBlock(PAGE, "parameters", table)
+written = BLOCK.written
 
 
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
-    sys.exit(main())
+    sys.exit(BLOCK.main(__doc__))

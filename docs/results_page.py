@@ -4,17 +4,16 @@ The table stands between the lines ``reference:begin`` and ``reference:end`` and
 ``autopilot bench reference`` compares with. Without ``--write`` the exit code says whether it is current.
 """
 
-import argparse
 import json
-import re
 import sys
 from pathlib import Path
 from typing import Any
 
+from generated_block import GeneratedBlock
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "results.md"
 FIGURES = ROOT / "tests" / "bench" / "reference_flights.json"
-_BLOCK = re.compile(r"(<!-- reference:begin -->\n).*?(<!-- reference:end -->)", re.S)
 COLUMNS: dict[str, tuple[str, float, str]] = {
     "distance to fence, m": ("distance to fence, m", 1.0, ".2f"),
     "estimate rms, mm": ("estimate position rms, m", 1000.0, ".1f"),
@@ -51,25 +50,9 @@ def table() -> str:
     return "\n".join(lines)
 
 
-def written(text: str) -> str:
-    """The page with the table as it should be."""
-    found, count = _BLOCK.subn(lambda block: f"{block[1]}{table()}\n{block[2]}", text)
-    if count != 1:
-        raise SystemExit(f"{PAGE}: the lines reference:begin and reference:end are missing")
-    return found
-
-
-def main() -> int:
-    """0 = current (or written)."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="bring the page in line")
-    write = parser.parse_args().write
-    before = PAGE.read_text(encoding="utf-8")
-    after = written(before)
-    if write:
-        PAGE.write_text(after, encoding="utf-8")
-    return 0 if write or before == after else 1
+BLOCK = GeneratedBlock(PAGE, "reference", table)
+written = BLOCK.written
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(BLOCK.main(__doc__))

@@ -12,7 +12,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(name="script")
-def script_fixture() -> ModuleType:
+def script_fixture(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(DOCS)  # the module beside it
     spec = importlib.util.spec_from_file_location("parameters_page", DOCS / "parameters_page.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
