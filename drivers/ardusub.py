@@ -58,6 +58,8 @@ MESSAGE_IDS = {
     "GPS_RAW_INT": 24,
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
+INERTIAL_HZ = 50.0
+"""It low-passes gyros and accelerations at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER): more samples tell no more."""
 REBOOT_MS = 1000
 SURFACE_PA = (50_000, 120_000)
 """From a lake at 5500 m to more than the air has ever had."""
@@ -107,8 +109,8 @@ class ArduSub(Closing):
         frame = FRAMES[options.frame]
         self._mixer = Mixer(vehicle, frame)
         self._rates_hz = {
-            "ATTITUDE": vehicle.ahrs.rate_hz,
-            "RAW_IMU": vehicle.ahrs.rate_hz,
+            "ATTITUDE": min(vehicle.ahrs.rate_hz, INERTIAL_HZ),
+            "RAW_IMU": min(vehicle.ahrs.rate_hz, INERTIAL_HZ),
             "SCALED_PRESSURE2": PRESSURE_HZ,
             "SERVO_OUTPUT_RAW": SERVO_HZ,
             "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,

@@ -19,6 +19,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidState, AidStatus, MarkerFit
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Measurement
 
 START_COUNT = 5
@@ -158,6 +159,26 @@ class ScalarAid(Aid, ABC, Generic[S_contra]):
 
     def used(self, measurement: Any) -> None:
         """A measurement has met its gate."""
+
+
+class InertialAid(ScalarAid[Inertial]):
+    """An aiding sensor that is a part of the AHRS: some of its samples, whatever its rate."""
+
+    every_s: ClassVar[float]
+    """From one that is used to the next; the noise is for so many."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._passed_s = 0.0
+
+    def due_s(self, dt_s: float) -> float:
+        """Time since the last sample that was due, at one that comes ``dt_s`` after the one before; 0 = not due,
+        the next one is nearer to the time."""
+        self._passed_s += dt_s
+        if self._passed_s + 0.5 * dt_s < self.every_s:
+            return 0.0
+        passed_s, self._passed_s = self._passed_s, 0.0
+        return passed_s
 
 
 def _three(values: FloatArray) -> FloatArray:

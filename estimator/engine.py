@@ -53,7 +53,6 @@ from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_gps import START_OFFSET_SIGMA_M
-from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import Moment
 from autopilot.estimator.monitors import Monitors
@@ -124,7 +123,6 @@ class AidedEstimator(Estimator):
         """:meth:`_doubts` of the last step."""
         self._foreseen_yaw_rad = 0.0
         """Heading of the newest node before its measurements."""
-        self._inertial_count = 0
         self._ahrs_us: int | None = None
         self._ahrs_ages_us: deque[int] = deque(maxlen=AGES)
         """Of the last samples on arrival: by a slow link they come late, and are not missing."""
@@ -316,17 +314,20 @@ class AidedEstimator(Estimator):
         self._foreseen_yaw_rad = node.state.x.item(YAW)
         if not inertial.real:
             return
+        model_dt_s = model.due_s(step.dt_s)
         if self._options.model_aid:
-            self._watch_imu(history, newest, node, inertial, anchored=anchored)
-        self._inertial_count += 1
-        if heading.due(self._inertial_count):
+            self._watch_imu(history, newest, node, inertial, model_dt_s, anchored=anchored)
+        if heading.due_s(step.dt_s):
             self._fusion.fuse_scalar(node, heading.measured(inertial), heading, fixed=True)
-        if model_informs and self._monitors.imu.accel.trusted and model.due(self._inertial_count):
+        if model_informs and self._monitors.imu.accel.trusted and model_dt_s:
             model.feel(node, inertial)
             self._fusion.fuse_scalar(node, model.measured(inertial), model, fixed=True)
 
-    def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
-        """Suspect a sensor that the evidence contradicts, and trust it again when it has recovered."""
+    def _watch_imu(
+        self, history: History, before: Node, node: Node, raw: Inertial, model_dt_s: float, *, anchored: bool
+    ) -> None:
+        """Suspect a sensor that the evidence contradicts, and trust it again when it has recovered. ``model_dt_s``:
+        since the accelerometer was last held against the model, 0 = not now."""
         if not anchored:
             self._anchored_since_us = None
         elif self._anchored_since_us is None:
@@ -336,7 +337,7 @@ class AidedEstimator(Estimator):
             before,
             node,
             raw,
-            model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * model.due(self._inertial_count),
+            model_dt_s=model_dt_s,
             anchored=anchored,
             denied=evidence.denies,
             heading_denied=not camera.stamps.suspects and evidence.denies_heading(imu.gyro.quick_rad),

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.estimator.aiding import ScalarAid
+from autopilot.estimator.aiding import InertialAid
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import HEADING_OFFSET, NX, YAW, one
 
-HEADING_EVERY = 20
-"""AHRS samples per heading measurement: 5 Hz, its errors are slow."""
+HEADING_EVERY_S = 0.2
+"""5 Hz: its errors are slow."""
 SIGMA_RAD = 0.026
 """1.5 degrees: the AHRS's short-term heading error, for 5 updates per second that share it."""
 
@@ -41,15 +41,12 @@ def heading_of(inertial: Inertial) -> Heading:
     return Heading(sensor="heading", t_us=inertial.t_us, z=np.array([inertial.ahrs_yaw_rad]), noise=_NOISE)
 
 
-class HeadingAid(ScalarAid[Inertial]):
-    """The compass of the AHRS: every so many of its samples."""
+class HeadingAid(InertialAid):
+    """The compass of the AHRS: a few of its samples."""
 
     sensor = "heading"
     own = one(HEADING_OFFSET)
-
-    def due(self, count: int) -> bool:
-        """Whether the heading of the AHRS's sample of that number is measured."""
-        return count % HEADING_EVERY == 0
+    every_s = HEADING_EVERY_S
 
     def measured(self, sample: Inertial) -> Heading:
         return heading_of(sample)

@@ -25,7 +25,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 from autopilot.core.to_and_fro import ToAndFro
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.aiding import ScalarAid
+from autopilot.estimator.aiding import InertialAid
 from autopilot.estimator.estimator_tuning import SWELL
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
@@ -50,8 +50,8 @@ from autopilot.estimator.states import (
     YAW,
 )
 
-MODEL_EVERY = 2
-"""AHRS samples per update by the vehicle model: 50 Hz."""
+MODEL_EVERY_S = 0.02
+"""Updates by the vehicle model: 50 Hz."""
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
 """Below both the vehicle may be moored, held or aground: the model is not used."""
@@ -275,20 +275,17 @@ class Swell:
         self.variance = SWELL.shared_looks * max(0.0, square - SWELL.usual_m_s2**2)
 
 
-class ModelAid(ScalarAid[Inertial]):
-    """The vehicle model: every so many samples of the accelerometer are held against it."""
+class ModelAid(InertialAid):
+    """The vehicle model: samples of the accelerometer are held against it."""
 
     sensor = "model"
+    every_s = MODEL_EVERY_S
 
     def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
         super().__init__()
         self.vehicle = VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle))
         self._options = options
         self._swell = Swell(VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle)))
-
-    def due(self, count: int) -> bool:
-        """Whether the AHRS's sample of that number is held against the model."""
-        return count % MODEL_EVERY == 0
 
     def is_informative(self, moment: Moment, x: FloatArray) -> bool:
         """Whether the vehicle is driven, and may move."""

@@ -1,5 +1,6 @@
 """Depth, velocity and external pose through the one aiding life cycle; lever arms and time offsets."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,6 +8,8 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from makers import Make
 from truth import Faults, World, no_current, uniform_current
 
@@ -28,6 +31,7 @@ from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.inertial import AhrsMount
+from autopilot.estimator.measure_heading import HEADING_EVERY_S, HeadingAid
 from autopilot.estimator.options import EstimatorOptions
 
 LEVER = (0.25, -0.1, 0.15)
@@ -435,3 +439,14 @@ def test_a_doppler_log_is_as_good_as_its_mounting(vehicle: Vehicle, create: Call
         assert np.linalg.norm(track[-1][1].pos_ned_m - track[-1][0].pos) < 0.02
     assert np.mean(inside) > 0.95, inside
     assert np.mean(squares) < 2.0, squares
+
+
+@given(st.floats(20.0, 400.0), st.floats(0.0, 0.4))
+def test_parts_of_the_ahrs_are_measured_as_often_at_any_rate(rate_hz: float, jitter: float) -> None:
+    """Stamps that are off by up to ``jitter`` of a period."""
+    aid = HeadingAid()
+    stamps_s = [(n + jitter * (-1) ** n) / rate_hz for n in range(round(40.0 * rate_hz))]
+    due_s = [aid.due_s(after - before) for before, after in itertools.pairwise(stamps_s)]
+    used_s = [passed_s for passed_s in due_s if passed_s]
+    assert sum(used_s) == pytest.approx(40.0, abs=1.0)
+    assert max(abs(passed_s - HEADING_EVERY_S) for passed_s in used_s) <= (0.5 + 3.0 * jitter) / rate_hz + 1e-9
