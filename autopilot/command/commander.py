@@ -179,9 +179,12 @@ class Commander:
         self._disarming.give_up()
         self._ending = None
         mode = self._modes.chosen
-        allowed = self._modes.refusal(mode) is None and not self._modes.prepare(mode)
-        self._modes.enter(mode if allowed else FlightMode.HOLD)
+        refusal = self._modes.refusal(mode)
+        reason = self._modes.prepare(mode) if refusal is None else refusal.reason
+        self._modes.enter(FlightMode.HOLD if reason else mode)
         self._operator.say(notices.ARMED())
+        if reason:
+            self._operator.say(notices.REFUSED(reason=reason))
         if not self._arming.fenced:
             self._operator.say(notices.ARMED_UNFENCED())
         return ACCEPTED
