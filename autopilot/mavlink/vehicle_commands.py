@@ -267,10 +267,11 @@ class VehicleService:
         return denied(f"pause/continue: param1 = {call.params[0]:g}, use 0 or 1")
 
     def set_mission_current(self, call: Call) -> Reply:
-        """DO_SET_MISSION_CURRENT: param1 = item."""
+        """DO_SET_MISSION_CURRENT: param1 = item, -1 = the present one; param2 1 = jumps and laps count from 0 again."""
         if not math.isfinite(call.params[0]):
-            return denied("set current item: param1 is no number")
-        return Reply(self._progress.choose(call.params[0]))
+            return denied("set current item: param1 is no number, use an item or -1 for the present one")
+        seq = self._progress.wire_seq if call.params[0] == -1.0 else call.params[0]
+        return Reply(self._progress.choose(seq, reset=call.param(2) == 1.0))
 
     # Places
 

@@ -59,6 +59,7 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (193, (0,), ("pause",)),
     (193, (1,), ("resume",)),
     (224, (2,), ("set_current_item", 2)),
+    (224, (-1, 1), ("set_current_item", 1, "reset")),
     (178, (1, 0.25), ("change_speed", 0.25)),
     (178, (0, 0.5), ("change_speed", 0.5)),
     (178, (1, -2), ("change_speed", None)),
