@@ -130,7 +130,7 @@ class CameraComponent:
 
     def digicam_control(self, call: Call) -> Reply:
         """DO_DIGICAM_CONTROL: param5 > 0 takes a still; session, zoom and focus stay as they are."""
-        return Reply(self._orders.shoot(1, 0.0)) if call.x > 0.0 else Reply(ACCEPTED)
+        return Reply(self._orders.shoot(1, 0.0)) if call.param5 > 0.0 else Reply(ACCEPTED)
 
     def trigger_by_distance(self, call: Call) -> Reply:
         """DO_SET_CAM_TRIGG_DIST: param1 distance between stills [m] (0 = stop), param3 = 1: one at once."""

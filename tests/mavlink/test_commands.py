@@ -267,6 +267,16 @@ def test_a_takeoff_is_a_dive_whatever_its_altitude_means(world: World, client: C
         assert world.vehicle.calls == [("take_off", depth)]
 
 
+@pytest.mark.parametrize("command", [192, 34, 179])
+def test_half_a_place_is_refused(world: World, client: Client, command: int) -> None:
+    place = e7(37.9755)
+    for x, y in ((place, INT32_MAX), (INT32_MAX, place)):
+        assert client.command_int(command, 3, (0, 1, 0, 0), x, y, NAN) == R.DENIED
+        assert "latitude or longitude is missing" in client.texts()
+        world.server._ctx.begin_anew()
+    assert world.vehicle.calls == []
+
+
 def test_modes_of_ardusub_that_are_not_here_are_refused() -> None:
     world = World("ardusub")
     client = world.client()

@@ -123,6 +123,10 @@ def test_a_camera_is_tilted_by_old_and_new_commands_and_by_buttons(tilting: Tilt
     assert tilt_us(world) == 1500
     assert world.command(mav.MAV_CMD_DO_SET_SERVO, 16, 1300) == 0
     assert tilt_us(world) == 1300
+    neutral = mav.MAVLink_command_int_message(1, 1, 0, 1000, 0, 0, NAN, NAN, NAN, NAN, 2, 0, 0.0)
+    world.ask(neutral)
+    assert tilt_us(world) == 1500
+    assert world.command(mav.MAV_CMD_DO_SET_SERVO, 16, 1300) == 0
     assert world.command(mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, NAN, NAN, NAN, NAN, 2.0) == 0, "neutral"
     assert tilt_us(world) == 1500
     for button, function in enumerate((21, 22, 23)):
