@@ -13,8 +13,19 @@ from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import ACCEPTED, CommandResult
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Handler, Reply, action, denied, refused, request
-from autopilot.mavlink.context import COMPID, NAME, Context, i32
+from autopilot.mavlink.commands import (
+    REPEAT_US,
+    UNSUPPORTED,
+    Call,
+    CommandRow,
+    Handler,
+    Reply,
+    action,
+    denied,
+    refused,
+    request,
+)
+from autopilot.mavlink.context import COMPID, NAME, Context, MavlinkPeer, i32
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS
 from autopilot.mavlink.periodic_messages import HEARTBEAT_US
@@ -51,8 +62,9 @@ class CameraComponent:
         """``utc_offset_us``: Unix time minus service time, None while unknown."""
         self._ctx, self._orders, self._utc_offset_us = ctx, orders, utc_offset_us
         self._heartbeat_us = 0
-        self._last_sequence: int | None = None
-        """IMAGE_START_CAPTURE's number of the last single still: the same again is the same still."""
+        self._last_single: tuple[MavlinkPeer, int, int] | None = None
+        """Client, its number (IMAGE_START_CAPTURE) and time of the last single still: sent again it is the same still.
+        Clients count from 1 each time they are started."""
 
     def tick(self) -> None:
         """HEARTBEAT, and reports of stills taken."""
@@ -121,11 +133,13 @@ class CameraComponent:
         interval_s, count, number = call.param(2), call.whole(3), call.whole(4)
         if count is None or count < 0 or not math.isfinite(interval_s):
             return denied(f"Photo refused: {call.param(3):g} pictures every {interval_s:g} s")
-        if count == 1 and number and number == self._last_sequence:
+        ctx, last = self._ctx, self._last_single
+        recent = last is not None and ctx.t_us - last[2] <= REPEAT_US * ctx.patience
+        if count == 1 and number and recent and last is not None and last[:2] == (call.peer, number):
             return Reply(ACCEPTED)
         answer = self._orders.shoot(count or None, interval_s)
         if answer.result is CommandResult.ACCEPTED and count == 1:
-            self._last_sequence = number or None
+            self._last_single = (call.peer, number, ctx.t_us) if number else None
         return Reply(answer)
 
     def digicam_control(self, call: Call) -> Reply:
