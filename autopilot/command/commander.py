@@ -142,7 +142,7 @@ class Commander:
     @property
     def mission_position(self) -> Position | None:
         """Mission progress, None when there is nothing to resume."""
-        return self._mission.sequencer.position
+        return self._mission.position
 
     def drain_events(self) -> tuple[Event, ...]:
         """Messages for the operator since the last call."""
