@@ -132,7 +132,8 @@ class CameraComponent:
         """IMAGE_START_CAPTURE: param2 interval, param3 count (0 = until stopped), param4 number of a single still."""
         interval_s, count, number = call.param(2), call.whole(3), call.whole(4)
         if count is None or count < 0 or not math.isfinite(interval_s):
-            return denied(f"Photo refused: {call.param(3):g} pictures every {interval_s:g} s")
+            many = f"{call.param(3):g} pictures every {interval_s:g} s"
+            return denied(f"Photo refused: {many}, use 1 or more (0 = until stopped) and a finite interval")
         ctx, last = self._ctx, self._last_single
         recent = last is not None and ctx.t_us - last[2] <= REPEAT_US * ctx.patience
         if count == 1 and number and recent and last is not None and last[:2] == (call.peer, number):
@@ -150,7 +151,7 @@ class CameraComponent:
         """DO_SET_CAM_TRIGG_DIST: param1 distance between stills [m] (0 = stop), param3 = 1: one at once."""
         distance_m = call.param(1)
         if not 0.0 <= distance_m < math.inf:
-            return denied(f"Photos refused: every {distance_m:g} m")
+            return denied(f"Photos refused: every {distance_m:g} m, use more than 0, or 0 to stop")
         return Reply(self._orders.shoot_every(distance_m, now=call.param(3) == 1.0))
 
     def trigger_by_time(self, call: Call) -> Reply:
@@ -159,7 +160,7 @@ class CameraComponent:
         if interval_ms == 0.0:
             return Reply(self._orders.stop())
         if not 0.0 < interval_ms < math.inf:
-            return denied(f"Photos refused: every {interval_ms:g} ms")
+            return denied(f"Photos refused: every {interval_ms:g} ms, use more than 0, or 0 to stop")
         return Reply(self._orders.shoot(None, interval_ms * 1e-3))
 
     def trigger_control(self, call: Call) -> Reply:

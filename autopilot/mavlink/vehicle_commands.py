@@ -205,7 +205,7 @@ class VehicleService:
         """DO_CHANGE_ALTITUDE: param1 altitude, param2 frame."""
         frame = call.whole(2)
         if not math.isfinite(call.params[0]):
-            return denied("change altitude: param1 is no altitude")
+            return denied(f"change altitude: {call.params[0]:g} m (param1), give a number")
         if frame == mav.MAV_FRAME_LOCAL_NED:
             return Reply(self._ctx.vehicle.change_depth(call.params[0]))
         depth_m = None if frame is None else self._depth_m(call.params[0], frame)
@@ -316,7 +316,7 @@ class VehicleService:
         if speed_m_s == -2.0:
             return Reply(self._ctx.vehicle.change_speed(None))
         if not 0.0 < speed_m_s < math.inf:
-            return denied(f"change speed: {speed_m_s:g} m/s is no speed")
+            return denied(f"change speed: {speed_m_s:g} m/s, use above 0, -1 (unchanged) or -2 (default)")
         return Reply(self._ctx.vehicle.change_speed(speed_m_s))
 
     def set_home(self, call: Call) -> Reply:

@@ -138,6 +138,8 @@ def test_wrong_parameters_are_refused_and_reach_nobody(
         params = (30,)  # ATTITUDE without an estimate
     assert client.command(command, *params) == result
     assert world.vehicle.calls == []
+    remedies = ("use ", "send ", "give ", "first", "cannot", "lists them")
+    assert result != R.DENIED or any(remedy in client.texts() for remedy in remedies), client.texts()
 
 
 @pytest.mark.parametrize("command", [23, 201, 519 + 1000, 2510, 31_999, 65_535, 0])
