@@ -132,8 +132,17 @@ class Sequencer:
             self._run.state = ProgressState.PAUSED
             self._run.pause_goal = None
 
-    def set_current(self, seq: int) -> None:
-        """Choose the item that runs next (at once when active). PlanError for an unknown item."""
+    def run_copy(self) -> RunMemory:
+        """The state of the run, for :meth:`restore_run` when an order that changes it is refused."""
+        run = self._run
+        return replace(run, jumps_done=dict(run.jumps_done), flown_at_jump=dict(run.flown_at_jump))
+
+    def restore_run(self, run: RunMemory) -> None:
+        self._goals.run = run
+
+    def set_current(self, seq: int, *, reset: bool = False) -> None:
+        """Choose the item that runs next (at once when active). ``reset``: jumps and laps count from 0 again.
+        PlanError for an unknown item."""
         self._check_seq(seq)
         if self._run.state is ProgressState.COMPLETE:
             self._clear(seq)
@@ -143,6 +152,9 @@ class Sequencer:
         run.cursor, run.circle, run.given_up_seq = seq, None, -1
         run.entered = run.rising = run.ending = False
         run.flown_at_jump.clear()  # a jump that the operator chooses is none of a loop
+        if reset:
+            run.jumps_done.clear()
+            run.lap = 0
 
     @property
     def position(self) -> Position | None:

@@ -142,7 +142,7 @@ class Commander:
     @property
     def mission_position(self) -> Position | None:
         """Mission progress, None when there is nothing to resume."""
-        return self._mission.sequencer.position
+        return self._mission.position
 
     def drain_events(self) -> tuple[Event, ...]:
         """Messages for the operator since the last call."""
@@ -179,9 +179,12 @@ class Commander:
         self._disarming.give_up()
         self._ending = None
         mode = self._modes.chosen
-        allowed = self._modes.refusal(mode) is None and not self._modes.prepare(mode)
-        self._modes.enter(mode if allowed else FlightMode.HOLD)
+        refusal = self._modes.refusal(mode)
+        reason = self._modes.prepare(mode) if refusal is None else refusal.reason
+        self._modes.enter(FlightMode.HOLD if reason else mode)
         self._operator.say(notices.ARMED())
+        if reason:
+            self._operator.say(notices.REFUSED(reason=reason))
         if not self._arming.fenced:
             self._operator.say(notices.ARMED_UNFENCED())
         return ACCEPTED
@@ -220,25 +223,28 @@ class Commander:
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
         """Enter MISSION at an item, None = the current one."""
-        armed = self._modes.armed
-        refusal = self._modes.refusal(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
-        if refusal is not None:
-            return refusal
-        if first_seq is not None and first_seq > 0:
+        if not self._modes.armed:
+            return denied("Mission start denied: arm first")
+        self._mission.load()
+        sequencer = self._mission.sequencer
+        before, answer = sequencer.run_copy(), ACCEPTED
+        if first_seq is not None and self._plans.items(PlanKind.MISSION):
             answer = self.set_current_item(first_seq)
-            if answer.result is not CommandResult.ACCEPTED:
-                return answer
-        return self.set_mode(FlightMode.MISSION)
+        if answer.result is CommandResult.ACCEPTED:
+            answer = self.set_mode(FlightMode.MISSION)
+        if answer.result is not CommandResult.ACCEPTED:
+            sequencer.restore_run(before)
+        return answer
 
     def resume(self) -> CommandReply:
         return self.start_mission(None)
 
-    def set_current_item(self, seq: int) -> CommandReply:
+    def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
         self._mission.load()
         count = len(self._plans.items(PlanKind.MISSION))
         if not 0 <= seq < count:
             return denied(f"Mission item {seq} does not exist: plan has {count}")
-        self._mission.sequencer.set_current(seq)
+        self._mission.sequencer.set_current(seq, reset=reset)
         return ACCEPTED
 
     def stand_at(self, position: Position) -> None:

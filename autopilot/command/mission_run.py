@@ -18,7 +18,7 @@ from autopilot.mission.goals import Goals
 from autopilot.mission.items import Passage, ReturnHome, SetHome, Step, Timed
 from autopilot.mission.mission_tuning import UPSTREAM, VALIDATION
 from autopilot.mission.plan_check import PlanVerdict
-from autopilot.mission.sequencer import Sequencer, SequencerOutput
+from autopilot.mission.sequencer import Position, Sequencer, SequencerOutput
 from autopilot.mission.store import Plans
 from autopilot.mission.upstream import MadeGood, SlowLeg, slowest_leg
 
@@ -75,6 +75,11 @@ class MissionRun:
         self._steps = steps
         self.sequencer.load(steps)
         return True
+
+    @property
+    def position(self) -> Position | None:
+        """Progress in the plan in force, None when there is nothing to resume or that plan is not loaded yet."""
+        return self.sequencer.position if self._plans.steps() is self._steps else None
 
     def start(self, t_us: int, nav: NavState | None) -> None:
         self.load()

@@ -220,7 +220,9 @@ class VehicleCommands(Protocol):
 
     def resume(self) -> CommandReply: ...
 
-    def set_current_item(self, seq: int) -> CommandReply: ...
+    def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
+        """``reset``: jumps and laps count from 0 again."""
+        ...
 
     def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         """Reposition and hold there (None = here). Checked against the fence."""

@@ -13,8 +13,19 @@ from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import ACCEPTED, CommandResult
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Handler, Reply, action, denied, refused, request
-from autopilot.mavlink.context import COMPID, NAME, Context, i32
+from autopilot.mavlink.commands import (
+    REPEAT_US,
+    UNSUPPORTED,
+    Call,
+    CommandRow,
+    Handler,
+    Reply,
+    action,
+    denied,
+    refused,
+    request,
+)
+from autopilot.mavlink.context import COMPID, NAME, Context, MavlinkPeer, i32
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS
 from autopilot.mavlink.periodic_messages import HEARTBEAT_US
@@ -51,8 +62,9 @@ class CameraComponent:
         """``utc_offset_us``: Unix time minus service time, None while unknown."""
         self._ctx, self._orders, self._utc_offset_us = ctx, orders, utc_offset_us
         self._heartbeat_us = 0
-        self._last_sequence: int | None = None
-        """IMAGE_START_CAPTURE's number of the last single still: the same again is the same still."""
+        self._last_single: tuple[MavlinkPeer, int, int] | None = None
+        """Client, its number (IMAGE_START_CAPTURE) and time of the last single still: sent again it is the same still.
+        Clients count from 1 each time they are started."""
 
     def tick(self) -> None:
         """HEARTBEAT, and reports of stills taken."""
@@ -120,23 +132,26 @@ class CameraComponent:
         """IMAGE_START_CAPTURE: param2 interval, param3 count (0 = until stopped), param4 number of a single still."""
         interval_s, count, number = call.param(2), call.whole(3), call.whole(4)
         if count is None or count < 0 or not math.isfinite(interval_s):
-            return denied(f"Photo refused: {call.param(3):g} pictures every {interval_s:g} s")
-        if count == 1 and number and number == self._last_sequence:
+            many = f"{call.param(3):g} pictures every {interval_s:g} s"
+            return denied(f"Photo refused: {many}, use 1 or more (0 = until stopped) and a finite interval")
+        ctx, last = self._ctx, self._last_single
+        recent = last is not None and ctx.t_us - last[2] <= REPEAT_US * ctx.patience
+        if count == 1 and number and recent and last is not None and last[:2] == (call.peer, number):
             return Reply(ACCEPTED)
         answer = self._orders.shoot(count or None, interval_s)
         if answer.result is CommandResult.ACCEPTED and count == 1:
-            self._last_sequence = number or None
+            self._last_single = (call.peer, number, ctx.t_us) if number else None
         return Reply(answer)
 
     def digicam_control(self, call: Call) -> Reply:
         """DO_DIGICAM_CONTROL: param5 > 0 takes a still; session, zoom and focus stay as they are."""
-        return Reply(self._orders.shoot(1, 0.0)) if call.x > 0.0 else Reply(ACCEPTED)
+        return Reply(self._orders.shoot(1, 0.0)) if call.param5 > 0.0 else Reply(ACCEPTED)
 
     def trigger_by_distance(self, call: Call) -> Reply:
         """DO_SET_CAM_TRIGG_DIST: param1 distance between stills [m] (0 = stop), param3 = 1: one at once."""
         distance_m = call.param(1)
         if not 0.0 <= distance_m < math.inf:
-            return denied(f"Photos refused: every {distance_m:g} m")
+            return denied(f"Photos refused: every {distance_m:g} m, use more than 0, or 0 to stop")
         return Reply(self._orders.shoot_every(distance_m, now=call.param(3) == 1.0))
 
     def trigger_by_time(self, call: Call) -> Reply:
@@ -145,7 +160,7 @@ class CameraComponent:
         if interval_ms == 0.0:
             return Reply(self._orders.stop())
         if not 0.0 < interval_ms < math.inf:
-            return denied(f"Photos refused: every {interval_ms:g} ms")
+            return denied(f"Photos refused: every {interval_ms:g} ms, use more than 0, or 0 to stop")
         return Reply(self._orders.shoot(None, interval_ms * 1e-3))
 
     def trigger_control(self, call: Call) -> Reply:

@@ -62,6 +62,12 @@ class Call:
         value = self.params[number - 1]
         return value if value == value else 0.0
 
+    @property
+    def param5(self) -> float:
+        """param5 of a command without a place, which COMMAND_INT has as it is; NaN reads as 0."""
+        value = round(self.x * _scale(self.frame)) if self.exact and self.x == self.x else self.x
+        return value if value == value else 0.0
+
     def whole(self, number: int) -> int | None:
         """param1..param4 as a 32-bit integer, None if it is none."""
         value = self.param(number)
@@ -128,6 +134,11 @@ def refused(reason: str) -> CommandRow:
     return action(lambda call: denied(reason))
 
 
+def _scale(frame: int) -> float:
+    """Of COMMAND_INT's x and y, per degree or metre."""
+    return 1e7 if frame in _DEG_E7_FRAMES else 1e4
+
+
 def call_of(peer: MavlinkPeer, msg: Message) -> Call:
     """A COMMAND_LONG or COMMAND_INT as a call."""
     params = (msg.param1, msg.param2, msg.param3, msg.param4)
@@ -142,8 +153,7 @@ def call_of(peer: MavlinkPeer, msg: Message) -> Call:
             frame=_FRAME_NOT_GIVEN,
             exact=False,
         )
-    scale = 1e7 if msg.frame in _DEG_E7_FRAMES else 1e4
-    x, y = (float("nan") if v in _INT_UNKNOWN else v / scale for v in (msg.x, msg.y))
+    x, y = (float("nan") if v in _INT_UNKNOWN else v / _scale(msg.frame) for v in (msg.x, msg.y))
     return Call(peer=peer, command=msg.command, params=params, x=x, y=y, z=msg.z, frame=msg.frame, exact=True)
 
 

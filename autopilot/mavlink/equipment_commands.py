@@ -29,21 +29,23 @@ class EquipmentCommands:
         """DO_SET_SERVO: param1 number of the output, param2 pulse [us]."""
         channel = call.whole(1)
         if channel is None:
-            return denied(f"Servo refused: {call.param(1):g} is no number of an output")
+            return _no_number("Servo", call, 1)
         return Reply(self._orders.set_servo(channel, call.param(2)))
 
     def repeat_servo(self, call: Call) -> Reply:
         """DO_REPEAT_SERVO: param1 number, param2 pulse [us], param3 how often, param4 time of a cycle [s]."""
         channel, count = call.whole(1), call.whole(3)
         if channel is None or count is None:
-            return denied("Servo refused: number and count have to be whole")
+            return _no_number("Servo", call, 1 if channel is None else 3)
         return Reply(self._orders.repeat_servo(channel, call.param(2), count, call.param(4)))
 
     def set_relay(self, call: Call) -> Reply:
         """DO_SET_RELAY: param1 number from 0, param2 1 = on, 0 = off, -1 = the other side (ArduPilot's toggle)."""
         number, setting = call.whole(1), call.whole(2)
-        if number is None or setting not in (-1, 0, 1):
-            return denied(f"Relay refused: setting {call.param(2):g}, use 1 or 0")
+        if number is None:
+            return _no_number("Relay", call, 1)
+        if setting not in (-1, 0, 1):
+            return denied(f"Relay refused: setting {call.param(2):g}, use 1, 0 or -1 (the other)")
         if setting == -1:
             return Reply(self._orders.toggle_relay(number))
         return Reply(self._orders.set_relay(number, on=setting == 1))
@@ -52,13 +54,15 @@ class EquipmentCommands:
         """DO_REPEAT_RELAY: param1 number, param2 how often, param3 time of a cycle [s]."""
         number, count = call.whole(1), call.whole(2)
         if number is None or count is None:
-            return denied("Relay refused: number and count have to be whole")
+            return _no_number("Relay", call, 1 if number is None else 2)
         return Reply(self._orders.repeat_relay(number, count, call.param(3)))
 
     def gripper(self, call: Call) -> Reply:
         """DO_GRIPPER: param1 number from 1 (0 = the first), param2 0 = open, 1 = close."""
         number, what = call.whole(1), call.whole(2)
-        if number is None or what not in (mav.GRIPPER_ACTION_RELEASE, mav.GRIPPER_ACTION_GRAB):
+        if number is None:
+            return _no_number("Gripper", call, 1)
+        if what not in (mav.GRIPPER_ACTION_RELEASE, mav.GRIPPER_ACTION_GRAB):
             return denied(f"Gripper refused: action {call.param(2):g}, use 0 (open) or 1 (close)")
         return Reply(self._orders.grip(number, close=what == mav.GRIPPER_ACTION_GRAB))
 
@@ -67,7 +71,7 @@ class EquipmentCommands:
         values: tuple[float, ...] = (*call.params, call.x, call.y)
         group = call.z if call.z == call.z else 0.0
         if not 0.0 <= group < 100.0 or group != int(group):
-            return denied(f"Actuator refused: index {call.z:g} (param7)")
+            return denied(f"Actuator refused: index {call.z:g} (param7), use 0 for actuators 1 to 6, 1 for the next")
         if call.exact:  # COMMAND_INT has no float there
             values = call.params
         first = int(group) * ACTUATORS + 1
@@ -75,3 +79,7 @@ class EquipmentCommands:
         # Clients that know no NaN send 0 for those that they do not mean.
         meant = {n: v for n, v in given.items() if v != 0.0 or not self._orders.refuse_actuator(n)}
         return Reply(self._orders.set_actuators(meant or given))
+
+
+def _no_number(what: str, call: Call, param: int) -> Reply:
+    return denied(f"{what} refused: {call.param(param):g} (param{param}), use a whole number")

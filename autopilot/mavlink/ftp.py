@@ -1,6 +1,6 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
-Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst has
+Read-only. One open file per client; a retransmitted request (the same bytes) gets the same answer. A burst has
 a pace (:mod:`autopilot.mavlink.pace`). It pauses while the link's budget is used up, and ends until the client requests
 more, so that a client that has left is not sent a whole log.
 """
@@ -128,8 +128,8 @@ class _FtpClient:
     file: OpenFile | None = None
     session: int = 0
     """Session id, taken from the client's open request."""
-    answered: tuple[int, int, Message] | None = None
-    """Number and opcode of the last request, and its answer."""
+    answered: tuple[FtpPacket, Message] | None = None
+    """The last request and its answer."""
     waiting: FtpPacket | None = None
     """Request that waits for the disk."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
@@ -185,8 +185,8 @@ class FileTransfer:
             return
         client = self._clients.touch(peer, _FtpClient)
         before = client.answered
-        if before is not None and before[:2] == (request.seq, request.opcode) and client.burst is None:
-            self._ctx.send(peer, before[2])
+        if before is not None and before[0] == request and client.burst is None:
+            self._ctx.send(peer, before[1])
             return
         running = client.burst is not None and request.opcode == Op.BURST and request.seq == client.burst_request_seq
         if running or client.waiting == request:
@@ -372,7 +372,7 @@ class FileTransfer:
     def _answer(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, opcode: Op, data: bytes) -> None:
         client.stop()
         message = self._send(peer, request.seq + 1, opcode, request, data)
-        client.answered = (request.seq, request.opcode, message)
+        client.answered = request, message
 
     def _send(
         self, peer: MavlinkPeer, seq: int, opcode: Op, to: FtpPacket, data: bytes, *, last: bool = False

@@ -64,7 +64,7 @@ class Gimbal:
 
     def pitch_yaw(self, call: Call) -> Reply:
         """DO_GIMBAL_MANAGER_PITCHYAW: param1 angle [deg], param5 flags (1 retract, 2 neutral: its start)."""
-        flags = int(call.x) if 0.0 <= call.x < 2.0**31 else 0
+        flags = int(call.param5) if 0.0 <= call.param5 < 2.0**31 else 0
         if flags & (mav.GIMBAL_MANAGER_FLAGS_RETRACT | mav.GIMBAL_MANAGER_FLAGS_NEUTRAL):
             return Reply(self._orders.tilt_by(None))
         if math.isnan(call.params[0]):

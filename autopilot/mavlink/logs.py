@@ -76,11 +76,7 @@ class LogDownload:
         """LOG_REQUEST_LIST: an entry for each number from start to end; one of log 0 when there are none."""
         client = self._clients.touch(peer, _LogClient)
         client.stop()
-        client.entries = range(msg.start, msg.end + 1)
-        if self._log_directory is None:
-            self._listed(client, ())
-        else:
-            client.listing = self._log_directory.list(self._tick)
+        client.logs, client.entries = None, range(msg.start, msg.end + 1)
 
     def on_request_data(self, peer: MavlinkPeer, msg: Message) -> None:
         """LOG_REQUEST_DATA: pieces of 90 bytes; a shorter one is the last of the log."""
@@ -93,8 +89,6 @@ class LogDownload:
         else:
             client.pace.start()
         client.wanted, client.end, client.sent_ticks = (msg.id, msg.ofs, msg.count), None, 0
-        if client.logs is None and client.listing is None and self._log_directory is not None:
-            client.listing = self._log_directory.list(self._tick)  # numbers from before a restart, or of another link
 
     def on_request_end(self, peer: MavlinkPeer) -> None:
         self._clients.touch(peer, _LogClient).stop()
@@ -124,6 +118,8 @@ class LogDownload:
                 client.stop()
                 del self._clients[peer]
                 continue
+            if client.logs is None and client.listing is None and (client.entries or client.wanted):
+                self._list(client)
             listed = None if client.listing is None else client.listing.poll(self._tick)
             if listed is not None:
                 client.listing = None
@@ -135,6 +131,13 @@ class LogDownload:
     @property
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
+
+    def _list(self, client: _LogClient) -> None:
+        """For a list, or for data by a number from before a restart, of another link or from before an erasure."""
+        if self._log_directory is None:
+            self._listed(client, ())
+        else:
+            client.listing = self._log_directory.list(self._tick)
 
     def _listed(self, client: _LogClient, files: tuple[LogDirectoryEntry, ...]) -> None:
         client.logs = tuple(file for file in files if file.path.endswith(_LOG))

@@ -51,8 +51,9 @@ class Maintenance:
         """
         number, kind, value, seconds = call.whole(1), call.whole(2), call.params[2], call.param(4)
         if number is None or number < 1 or not math.isfinite(value) or not 0.0 <= seconds < math.inf:
-            return denied(f"Motor test denied: motor {call.param(1):g}, value {value:g}, {seconds:g} s")
-        if not call.exact and call.x > 1.0:
+            reason = "use a motor from 1, a finite value and 0 s or more"
+            return denied(f"Motor test denied: motor {call.param(1):g}, value {value:g}, {seconds:g} s; {reason}")
+        if call.param5 > 1.0:
             return denied("Motor test denied: one motor at a time (param5)")
         if kind == mav.MOTOR_TEST_THROTTLE_PERCENT:
             if not 0.0 <= value <= 100.0:

@@ -224,7 +224,8 @@ class Parameters:
         for name in changed:
             if ctx.saving is not None:
                 ctx.saving.save(ctx.t_us // TICK_US, name)
-            ctx.broadcast(self.value(name))
+            for shown in (name, *self._stubs.followers(name)):
+                ctx.broadcast(self.value(shown))
         return len(changed) - len(left)
 
     def _answer_hash(self, peer: MavlinkPeer) -> None:

@@ -64,13 +64,14 @@ class ProgressMessages:
         seq = 0 if progress is None else max(progress.current_seq, 0)
         return seq + home_item.shift(self._ctx, PlanKind.MISSION)
 
-    def choose(self, wire_seq: float) -> CommandReply:
+    def choose(self, wire_seq: float, *, reset: bool = False) -> CommandReply:
         """Make an item current, numbered as on the wire."""
         seq = wire_seq - home_item.shift(self._ctx, PlanKind.MISSION)
         seq = max(seq, 0.0) if wire_seq == 0.0 else seq
         if not 0.0 <= seq <= 65_535.0 or seq != int(seq):
-            return CommandReply(result=CommandResult.DENIED, reason=f"mission item {wire_seq:g} does not exist")
-        return self._ctx.vehicle.set_current_item(int(seq))
+            reason = f"mission item {wire_seq:g} does not exist: use a whole number of the plan"
+            return CommandReply(result=CommandResult.DENIED, reason=reason)
+        return self._ctx.vehicle.set_current_item(int(seq), reset=reset)
 
     def on_set_current(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_SET_CURRENT: answered by MISSION_CURRENT, a refusal by text."""

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.clock import TICK_US
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied, request
 from autopilot.mavlink.context import Context
@@ -51,7 +52,7 @@ class Requests:
         index, profile = call.whole(2), self._ctx.profile
         count = len(profile.listed)
         if index is None or not 0 <= index <= count:
-            return denied(f"mode {call.param(2):g} does not exist: there are {count}")
+            return denied(f"mode {call.param(2):g} does not exist: use 1 to {count}, 0 for all")
         wanted = (index,) if index else range(1, count + 1)
         return Reply(ACCEPTED, tuple(available_mode(profile, number) for number in wanted))
 
@@ -67,7 +68,10 @@ class Requests:
         if msg_id is None or not self._streams.knows(msg_id):
             return UNSUPPORTED_REPLY
         if not self._streams.set_interval(call.peer.link, msg_id, call.params[1]):
-            return denied(f"message {msg_id}: interval {call.params[1]:g} us is not possible")
+            if msg_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
+                return denied("HEARTBEAT comes once a second: its interval cannot be set")
+            interval = f"message {msg_id}: interval {call.params[1]:g} us"
+            return denied(f"{interval}, use {TICK_US} up to {2**31 - 1}, -1 (off) or 0 (default)")
         return Reply(ACCEPTED)
 
     def get_message_interval(self, call: Call) -> Reply:
@@ -76,7 +80,7 @@ class Requests:
 
     def _interval_of(self, call: Call, msg_id: int | None) -> Reply:
         if msg_id is None or not 0 <= msg_id <= 0xFFFF:
-            return denied("message id is no number of a message")
+            return denied("message id is no number of a message: use 0 to 65535")
         interval_us = self._streams.interval_us(call.peer.link, msg_id)
         return Reply(ACCEPTED, (mav.MAVLink_message_interval_message(msg_id, interval_us),))
 

@@ -61,6 +61,12 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
 
 STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
     {
+        mav.MAV_DATA_STREAM_RAW_SENSORS: (
+            mav.MAVLINK_MSG_ID_RAW_IMU,
+            mav.MAVLINK_MSG_ID_SCALED_IMU,
+            mav.MAVLINK_MSG_ID_SCALED_PRESSURE,
+            mav.MAVLINK_MSG_ID_SCALED_PRESSURE2,
+        ),
         mav.MAV_DATA_STREAM_EXTENDED_STATUS: (
             mav.MAVLINK_MSG_ID_SYS_STATUS,
             mav.MAVLINK_MSG_ID_MISSION_CURRENT,
@@ -134,8 +140,8 @@ class Streams:
         self._ctx = ctx
         self._builders = builders
         self._links: dict[int, LinkStreams] = {}
-        self._before: dict[int, LinkStreams] = {}
-        """Of links that get one message only for a while."""
+        self._before: dict[int, tuple[int, LinkStreams]] = {}
+        """Of links that get one message only for a while: its id, and the streams of afterwards."""
 
     def of(self, link: int) -> LinkStreams:
         streams = self._links.get(link)
@@ -145,7 +151,7 @@ class Streams:
 
     def only(self, link: int, msg_id: int, interval_us: int) -> None:
         """Nothing but this on a link, until :meth:`all_again`."""
-        self._before[link] = self.of(link)
+        self._before[link] = msg_id, self.of(link)
         self._links[link] = streams = LinkStreams(self._ctx.t_us)
         streams.interval_us, streams.due_us = {}, {}
         streams.set(msg_id, interval_us, self._ctx.t_us)
@@ -154,8 +160,14 @@ class Streams:
         """Undo :meth:`only`; every message is sent once within the next 0.1 s."""
         before = self._before.pop(link, None)
         if before is not None:
-            before.spread(self._ctx.t_us)
-            self._links[link] = before
+            _, streams = before
+            streams.spread(self._ctx.t_us)
+            self._links[link] = streams
+
+    def _requested(self, link: int, msg_id: int) -> LinkStreams:
+        """What requests for a message are about: where another one goes alone, the streams of afterwards."""
+        only, streams = self._before.get(link, (msg_id, self.of(link)))
+        return self.of(link) if msg_id == only else streams
 
     @property
     def fast(self) -> bool:
@@ -177,7 +189,7 @@ class Streams:
         """As in MESSAGE_INTERVAL: microseconds, -1 = off, 0 = not available."""
         if not self.knows(msg_id):
             return 0
-        return self.of(link).interval_us.get(msg_id, _OFF)
+        return self._requested(link, msg_id).interval_us.get(msg_id, _OFF)
 
     def set_interval(self, link: int, msg_id: int, interval_us: float) -> bool:
         """As in SET_MESSAGE_INTERVAL: -1 = off, 0 = default rate. False when the message cannot be streamed so."""
@@ -191,7 +203,7 @@ class Streams:
             interval = max(int(interval_us), TICK_US)
         else:
             return False
-        self.of(link).set(msg_id, interval, self._ctx.t_us)
+        self._requested(link, msg_id).set(msg_id, interval, self._ctx.t_us)
         return True
 
     def on_request_data_stream(self, link: int, stream: int, rate_hz: int, start: bool) -> None:

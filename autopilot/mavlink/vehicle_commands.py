@@ -156,7 +156,7 @@ class VehicleService:
 
     def mode_here(self, call: Call, mode: FlightMode) -> Reply:
         """RETURN, SURFACE and HOLD by command: they begin where the vehicle is."""
-        if (call.x or call.y) and call.x == call.x and call.y == call.y and mode is not FlightMode.RETURN:
+        if any(x and x == x for x in (call.x, call.y)) and mode is not FlightMode.RETURN:
             return denied(f"{mode.name.lower()} begins here: go there first")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
@@ -205,7 +205,7 @@ class VehicleService:
         """DO_CHANGE_ALTITUDE: param1 altitude, param2 frame."""
         frame = call.whole(2)
         if not math.isfinite(call.params[0]):
-            return denied("change altitude: param1 is no altitude")
+            return denied(f"change altitude: {call.params[0]:g} m (param1), give a number")
         if frame == mav.MAV_FRAME_LOCAL_NED:
             return Reply(self._ctx.vehicle.change_depth(call.params[0]))
         depth_m = None if frame is None else self._depth_m(call.params[0], frame)
@@ -229,14 +229,15 @@ class VehicleService:
         if behaviour not in _ORBIT_YAW:
             return denied(f"orbit: yaw behaviour {call.param(3):g} is not supported, use 0, 1, 2, 3 or 5")
         centre: GeodeticPosition | None = None
-        if math.isfinite(call.x) and math.isfinite(call.y) and (call.x or call.y or call.exact):
+        given = any(map(math.isfinite, (call.x, call.y, call.z) if call.exact else (call.x, call.y)))
+        if given and (call.x or call.y or call.exact):
             point = self._point(call, "orbit")
             if isinstance(point, Reply):
                 return point
             centre = point
         circle = Circling(
             centre=centre,
-            depth_held=not math.isfinite(call.z),
+            depth_held=centre is None or not math.isfinite(call.z),
             radius_m=abs(radius) if radius else None,
             clockwise=radius > 0.0 if radius else None,
             speed_m_s=abs(speed) if speed else None,
@@ -267,10 +268,11 @@ class VehicleService:
         return denied(f"pause/continue: param1 = {call.params[0]:g}, use 0 or 1")
 
     def set_mission_current(self, call: Call) -> Reply:
-        """DO_SET_MISSION_CURRENT: param1 = item."""
+        """DO_SET_MISSION_CURRENT: param1 = item, -1 = the present one; param2 1 = jumps and laps count from 0 again."""
         if not math.isfinite(call.params[0]):
-            return denied("set current item: param1 is no number")
-        return Reply(self._progress.choose(call.params[0]))
+            return denied("set current item: param1 is no number, use an item or -1 for the present one")
+        seq = self._progress.wire_seq if call.params[0] == -1.0 else call.params[0]
+        return Reply(self._progress.choose(seq, reset=call.param(2) == 1.0))
 
     # Places
 
@@ -282,7 +284,7 @@ class VehicleService:
             return denied("go-to: set the change-mode flag (param2 = 1)")
         yaw = call.params[3]
         yaw_rad = yaw if math.isfinite(yaw) else None
-        if not (math.isfinite(call.x) and math.isfinite(call.y)) and not math.isfinite(call.z):
+        if not any(map(math.isfinite, (call.x, call.y, call.z))):
             answer = ctx.vehicle.pause() if ctx.view.mode is FlightMode.MISSION else ctx.vehicle.go_to(None, yaw_rad)
             return Reply(answer)
         point = self._point(call, "go-to")
@@ -314,7 +316,7 @@ class VehicleService:
         if speed_m_s == -2.0:
             return Reply(self._ctx.vehicle.change_speed(None))
         if not 0.0 < speed_m_s < math.inf:
-            return denied(f"change speed: {speed_m_s:g} m/s is no speed")
+            return denied(f"change speed: {speed_m_s:g} m/s, use above 0, -1 (unchanged) or -2 (default)")
         return Reply(self._ctx.vehicle.change_speed(speed_m_s))
 
     def set_home(self, call: Call) -> Reply:
@@ -358,7 +360,9 @@ class VehicleService:
     def _point(self, call: Call, what: str) -> GeodeticPosition | Reply:
         """Position of a command, or the refusal of an invalid one. Missing coordinates = here."""
         ctx = self._ctx
-        given = math.isfinite(call.x) and math.isfinite(call.y)
+        given = math.isfinite(call.x)
+        if given is not math.isfinite(call.y):
+            return denied(f"{what}: latitude or longitude is missing, send both or neither")
         if given and not call.exact:
             return Reply(INT_ONLY)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and given and math.isfinite(call.z):

@@ -68,7 +68,7 @@ class StraightVehicle:
     def resume(self) -> CommandReply:
         return NO
 
-    def set_current_item(self, seq: int) -> CommandReply:
+    def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
         return NO
 
     def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:

@@ -118,9 +118,9 @@ class RecordingVehicle:
     def resume(self) -> CommandReply:
         return self._note("resume")
 
-    def set_current_item(self, seq: int) -> CommandReply:
+    def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
         self.on_set_current(seq)
-        return self._note("set_current_item", seq)
+        return self._note("set_current_item", seq, *(["reset"] if reset else []))
 
     def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         return self._note("go_to", point, yaw_rad)

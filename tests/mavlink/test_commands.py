@@ -59,6 +59,7 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (193, (0,), ("pause",)),
     (193, (1,), ("resume",)),
     (224, (2,), ("set_current_item", 2)),
+    (224, (-1, 1), ("set_current_item", 1, "reset")),
     (178, (1, 0.25), ("change_speed", 0.25)),
     (178, (0, 0.5), ("change_speed", 0.5)),
     (178, (1, -2), ("change_speed", None)),
@@ -137,6 +138,8 @@ def test_wrong_parameters_are_refused_and_reach_nobody(
         params = (30,)  # ATTITUDE without an estimate
     assert client.command(command, *params) == result
     assert world.vehicle.calls == []
+    remedies = ("use ", "send ", "give ", "first", "cannot", "lists them")
+    assert result != R.DENIED or any(remedy in client.texts() for remedy in remedies), client.texts()
 
 
 @pytest.mark.parametrize("command", [23, 201, 519 + 1000, 2510, 31_999, 65_535, 0])
@@ -264,6 +267,16 @@ def test_a_takeoff_is_a_dive_whatever_its_altitude_means(world: World, client: C
         world.vehicle.calls.clear()
         assert client.command_int(22, frame, (0, 0, 0, 0), 0, 0, altitude) == R.ACCEPTED
         assert world.vehicle.calls == [("take_off", depth)]
+
+
+@pytest.mark.parametrize("command", [192, 34, 179])
+def test_half_a_place_is_refused(world: World, client: Client, command: int) -> None:
+    place = e7(37.9755)
+    for x, y in ((place, INT32_MAX), (INT32_MAX, place)):
+        assert client.command_int(command, 3, (0, 1, 0, 0), x, y, NAN) == R.DENIED
+        assert "latitude or longitude is missing" in client.texts()
+        world.server._ctx.begin_anew()
+    assert world.vehicle.calls == []
 
 
 def test_modes_of_ardusub_that_are_not_here_are_refused() -> None:

@@ -245,6 +245,10 @@ def test_a_request_that_comes_again_gets_the_same_answer(folder: Path) -> None:
     world.run(0.1)
     assert len(set(ftp.answers())) == 1 and len(ftp.answers()) == 3
     assert ftp.ask(Op.READ, offset=1000, size=239) == (Op.NAK, bytes((Error.EOF,)))
+    anew = Ftp(client)  # a client that is started again counts from the same number
+    for path, answer in ((b"/", Op.ACK), (b"/nowhere", Op.NAK)):
+        anew.seq = 0
+        assert anew.ask(Op.LIST, data=path)[0] == answer
     assert ftp.ask(Op.RESET)[0] == Op.ACK
     assert ftp.ask(Op.READ, offset=0, size=239) == (Op.NAK, bytes((Error.INVALID_SESSION,)))
 
@@ -311,7 +315,11 @@ def test_logs_arrive_whole_by_log_messages(folder: Path, profile: str, first: in
 @pytest.mark.parametrize("folder_there", [True, False])
 def test_before_the_first_flight_the_list_is_one_entry_of_no_logs(tmp_path: Path, folder_there: bool) -> None:
     world = world_with(tmp_path / "logs") if folder_there else World()
-    (none,) = world.client().ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
+    client = world.client()
+    assert not client.ask(mav.MAVLink_log_request_data_message(1, 1, 0, 0, 90), "LOG_DATA", 0.2)
+    assert "There is no log 0" in client.texts()
+    assert not world.server.busy
+    (none,) = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
     assert (none.id, none.num_logs, none.size) == (0, 0, 0)
 
 

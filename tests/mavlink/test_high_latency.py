@@ -37,6 +37,21 @@ def test_a_quiet_link_says_one_message_every_five_seconds_and_the_others_go_on()
     assert "HEARTBEAT" in heard and heard.count("ATTITUDE") >= 29 and "HIGH_LATENCY2" not in heard
 
 
+def test_rates_that_are_asked_for_on_a_quiet_link_begin_when_it_is_no_longer_one() -> None:
+    """Ground stations ask for them whenever they connect."""
+    world = World()
+    client = world.client()
+    world.run(3.0)
+    assert client.command(CONTROL, 1) == 0
+    client.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_ALL, 20, 1))
+    assert client.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE, 20_000) == 0
+    client.rx.clear()
+    assert kinds(client, world, 20.0) == ["HIGH_LATENCY2"] * 4
+    assert client.command(CONTROL, 0) == 0
+    heard = kinds(client, world, 3.0)
+    assert heard.count("ATTITUDE") >= 149 and heard.count("VFR_HUD") >= 59
+
+
 def test_what_is_asked_for_on_a_quiet_link_is_answered() -> None:
     world = World()
     client = world.client()

@@ -107,6 +107,9 @@ def test_a_plug_ins_parameter_says_what_ours_decides(ours: str, value: float, th
     set_param(client, theirs, 0, told[-1].param_type)
     assert f"{theirs} is read only: set {ours}" in client.texts()
     assert world.params[ours] == pytest.approx(value)
+    world.show(armed=False)
+    assert client.command(mav.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == 0
+    assert theirs in {m.param_id for m in client.got("PARAM_VALUE")}, "with ours also when all are reset"
 
 
 @pytest.mark.parametrize("gripper", [False, True])

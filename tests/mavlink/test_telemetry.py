@@ -185,6 +185,17 @@ def test_all_streams_at_once_leave_slow_ones_alone(world: World) -> None:
     assert len(client.got("SYS_STATUS")) == 4 and len(client.got("HOME_POSITION")) == 2
 
 
+def test_the_raw_sensors_are_a_group_too(world: World) -> None:
+    client = world.client()
+    client.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_RAW_SENSORS, 20, 1))
+    world.run(0.5)
+    for name in ("RAW_IMU", "SCALED_IMU", "SCALED_PRESSURE", "SCALED_PRESSURE2"):
+        number = getattr(mav, f"MAVLINK_MSG_ID_{name}")
+        assert client.command(mav.MAV_CMD_GET_MESSAGE_INTERVAL, number) == 0
+        (interval,) = client.got("MESSAGE_INTERVAL")
+        assert interval.interval_us == 50_000, name
+
+
 def test_a_link_that_opens_or_closes(world: World) -> None:
     client = world.client(link=5)
     world.run(0.5)

@@ -8,7 +8,7 @@ from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.paper import paper_plan
-from tests.plan_items import circle
+from tests.plan_items import circle, local
 
 
 def test_a_failsafe_that_holds_does_not_go_on_to_the_waypoint() -> None:
@@ -186,3 +186,57 @@ def test_go_to_without_a_place_turns_on_the_spot() -> None:
     assert goal is not None
     assert goal.yaw_rad == 1.0
     assert goal.pos_ned_m == pytest.approx(bench.pos)
+
+
+def test_a_refused_takeoff_leaves_the_one_that_was_accepted() -> None:
+    bench = Bench()
+    bench.run()
+    assert bench.commander.take_off(0.8).result is OK
+    assert bench.commander.take_off(50.0).result is CommandResult.DENIED
+    bench.armed()
+    goal = bench.run().goal
+    assert bench.commander.mode is FlightMode.TAKEOFF
+    assert goal is not None
+    assert goal.pos_ned_m[2] == pytest.approx(0.8)
+
+
+def test_arming_says_why_it_holds_instead_of_the_mode_chosen_before() -> None:
+    bench = Bench()
+    bench.run()
+    assert bench.commander.set_mode(FlightMode.GUIDED).result is OK
+    assert bench.armed().run().mode is FlightMode.HOLD
+    assert "Offboard denied: send set points first" in bench.texts
+
+
+def test_a_start_at_an_item_is_judged_from_that_item_and_leaves_the_mission_alone_if_refused() -> None:
+    """The first item lies upstream, the second downstream."""
+    bench = Bench(WP_STUCK_ACT=3)
+    items = tuple(local(seq, 16, x, 0.5, 0.5, (0.0, 0.2, 0.0, 0.0)) for seq, x in enumerate((1.5, -1.8)))
+    assert bench.plans.replace(PlanKind.MISSION, items) is None
+    bench.current = np.array([-0.6, 0.0, 0.0])
+    bench.armed()
+    bench.run()
+    assert bench.commander.start_mission(1).result is OK, bench.texts
+    assert bench.run().progress.current_seq == 1
+    for first_seq in (0, 7):
+        assert bench.commander.start_mission(first_seq).result is CommandResult.DENIED
+        assert bench.run().progress.current_seq == 1
+        assert bench.commander.mode is FlightMode.MISSION
+
+
+def test_a_mission_is_set_back_with_its_jumps_and_laps() -> None:
+    bench = Bench()
+    bench.load(laps=3)
+    bench.armed()
+    bench.commander.start_mission(None)
+    for place in [(-1.6, -0.35, 0.45), (1.75, 0.0, 0.3), (-1.6, -0.35, 0.45), (1.75, 0.0, 0.3)]:
+        bench.pos, bench.yaw = np.array(place), np.pi if place[0] > 0.0 else 0.0
+        bench.run(0.1)
+    position = bench.commander.mission_position
+    assert position is not None
+    assert position.lap > 0
+    assert position.jumps_done
+    assert bench.commander.set_current_item(0, reset=True).result is OK
+    position = bench.commander.mission_position
+    assert position is not None
+    assert (position.cursor, position.lap, position.jumps_done) == (0, 0, ())

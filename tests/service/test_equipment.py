@@ -68,10 +68,12 @@ def test_orders_become_pulses(world: ServiceWorld) -> None:
         (mav.MAV_CMD_DO_SET_SERVO, (17, math.inf), "use 1100 to 1900"),
         (mav.MAV_CMD_DO_SET_RELAY, (3, 1), "no relay 3: use 0"),
         (mav.MAV_CMD_DO_SET_RELAY, (0, 7), "setting 7"),
+        (mav.MAV_CMD_DO_SET_RELAY, (1.5, 1), "Relay refused: 1.5 (param1), use a whole number"),
         (mav.MAV_CMD_DO_REPEAT_RELAY, (0, 0, 1), "0 times"),
         (mav.MAV_CMD_DO_REPEAT_SERVO, (17, 1500, 2, 0.0), "cycle 0 s"),
         (mav.MAV_CMD_DO_GRIPPER, (2, 1), "no gripper 2"),
         (mav.MAV_CMD_DO_GRIPPER, (1, 5), "action 5"),
+        (mav.MAV_CMD_DO_GRIPPER, (1.5, 1), "Gripper refused: 1.5 (param1), use a whole number"),
         (mav.MAV_CMD_DO_SET_ACTUATOR, (2.0, NAN, NAN, NAN, NAN, NAN, 0), "use -1 to 1"),
         (mav.MAV_CMD_DO_SET_ACTUATOR, (0.5, NAN, NAN, NAN, NAN, NAN, 2), "no actuator 13"),
         (mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, (0.0,), "no gimbal"),
@@ -123,6 +125,10 @@ def test_a_camera_is_tilted_by_old_and_new_commands_and_by_buttons(tilting: Tilt
     assert tilt_us(world) == 1500
     assert world.command(mav.MAV_CMD_DO_SET_SERVO, 16, 1300) == 0
     assert tilt_us(world) == 1300
+    neutral = mav.MAVLink_command_int_message(1, 1, 0, 1000, 0, 0, NAN, NAN, NAN, NAN, 2, 0, 0.0)
+    world.ask(neutral)
+    assert tilt_us(world) == 1500
+    assert world.command(mav.MAV_CMD_DO_SET_SERVO, 16, 1300) == 0
     assert world.command(mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, NAN, NAN, NAN, NAN, 2.0) == 0, "neutral"
     assert tilt_us(world) == 1500
     for button, function in enumerate((21, 22, 23)):

@@ -67,6 +67,19 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.glob("plans.json*")] == ["plans.json"]
 
 
+def test_progress_in_the_plan_before_is_not_kept_with_a_new_one(tmp_path: Path) -> None:
+    """The commander takes a new plan with its next decision; the power may fail before."""
+    path, parts = _written(tmp_path)
+    kept = KeptPlans(path, parts.plans, parts.commander)
+    assert parts.plans.replace(PlanKind.MISSION, paper_plan().mission[:1]) is None
+    kept.tick(10_000)
+    kept.finish()
+    after = _parts(tmp_path)
+    assert KeptPlans(path, after.plans, after.commander).load() == ()
+    assert _same(parts, after)
+    assert after.plans.items(PlanKind.FENCE)
+
+
 def test_any_damage_is_found_and_the_copy_before_is_used(tmp_path: Path) -> None:
     path, before = _written(tmp_path)
     kept = KeptPlans(path, before.plans, before.commander)

@@ -407,6 +407,9 @@ def test_an_orbit_is_flown_looked_at_and_cancelled() -> None:
     assert world.command(193, 0.0) == ACCEPTED
     world.run(3.0)
     assert world.custom_mode == HOLD and np.hypot(*world.x[4:6]) < 0.03
+    here = mav.MAVLink_command_int_message(1, 1, 3, 34, 0, 0, 0.4, 0.0, 0.0, 0.0, 0x7FFF_FFFF, 0x7FFF_FFFF, -9.0)
+    assert [m.result for m in world.ask(here) if m.get_type() == "COMMAND_ACK"] == [DENIED]
+    assert "depth 9.00 m is outside" in world.texts(), "of a circle here too"
     assert world.command_int(34, 0.0, 0.9, 0.6, param1=0.5, frame=1) == DENIED
     assert "circle comes within" in world.texts()
 

@@ -91,6 +91,17 @@ REFUSED = (
 )
 
 
+def test_clients_count_their_stills_for_themselves(session: OpenSession, tmp_path: Path) -> None:
+    """MAVSDK numbers from 1 each time it is started."""
+    clients = CameraClient(), CameraClient()
+    harbour = Harbour(session(sensors="camera", peers=clients, log=tmp_path / "run.mcap"))
+    harbour.run(2.0)
+    for number, client in enumerate(clients):
+        assert client.ask(harbour, mav.MAV_CMD_IMAGE_START_CAPTURE, 0.0, 0.0, 1.0, 1.0) == (0, CAMERA)
+        harbour.run(1.0)
+        assert [m.image_index for m in client.pictures()] == [number]
+
+
 def test_what_it_cannot_do_is_refused_with_the_reason(session: OpenSession, tmp_path: Path) -> None:
     client = CameraClient()
     harbour = Harbour(session(sensors="camera", peers=(client,), log=tmp_path / "run.mcap"))

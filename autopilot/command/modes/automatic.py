@@ -117,20 +117,23 @@ class TakeoffMode(FlightModeBehaviour):
     def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
         self._commanded_depth_m: float | None = None
+        """Of a dive that has not begun, None = TKOFF_DEPTH."""
         self._depth_m = 0.0
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
         """To the depth requested before arming, else TKOFF_DEPTH."""
-        return self.choose_depth(None if armed else self._commanded_depth_m)
+        return self.choose_depth(self._commanded_depth_m)
+
+    def leave(self) -> None:
+        self._commanded_depth_m = None
 
     def choose_depth(self, depth_m: float | None) -> str:
         """Depth of the next dive, None = TKOFF_DEPTH. Returns the reason of a refusal, else ""."""
-        self._commanded_depth_m = depth_m
         wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
         reason = self._goals.refuse_depth(wanted_m)
         if reason:
             return f"Takeoff denied: {reason}" + (", set TKOFF_DEPTH" if depth_m is None else "")
-        self._depth_m = wanted_m
+        self._commanded_depth_m, self._depth_m = depth_m, wanted_m
         return ""
 
     def place(self, nav: NavState) -> Goal:
@@ -140,6 +143,7 @@ class TakeoffMode(FlightModeBehaviour):
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """Ends at its depth."""
         super().watch(status, goal, nav)
+        self._commanded_depth_m = None
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON
         self._operator.say(notices.DIVED(depth_m=goal.pos_ned_m[2]))
