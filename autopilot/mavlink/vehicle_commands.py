@@ -302,6 +302,8 @@ class VehicleService:
         """MISSION_ITEM with current = 2: ArduPilot's go-to, the only one of QGroundControl to an ArduSub. Its 32 bit
         degrees are finer than the map that was clicked on.
         """
+        if msg.command != mav.MAV_CMD_NAV_WAYPOINT:
+            return denied(f"go-to: command {msg.command} in a MISSION_ITEM with current 2, use NAV_WAYPOINT 16").answer
         change = (-1.0, float(CHANGE_MODE), 0.0, math.nan)
         place = {"x": msg.x, "y": msg.y, "z": msg.z, "frame": msg.frame}
         return self.reposition(Call(peer=peer, command=msg.command, params=change, exact=True, **place)).answer
