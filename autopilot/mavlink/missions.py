@@ -7,6 +7,7 @@ their last item, so that during a longer check the last item is requested again 
 time; a second client is DENIED. Downloads read a snapshot, so that a plan that changes meanwhile cannot mix.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from autopilot.core import operator_messages as notices
@@ -96,8 +97,9 @@ class Download:
 
 
 class Missions:
-    def __init__(self, ctx: Context) -> None:
-        self._ctx = ctx
+    def __init__(self, ctx: Context, keeps_out: Callable[[MavlinkPeer], bool] = lambda peer: False) -> None:
+        """``keeps_out``: whether another client is in control."""
+        self._ctx, self._keeps_out = ctx, keeps_out
         self._upload: Upload | None = None
         self._checking: Checking | None = None
         self._finished: Finished | None = None
@@ -407,8 +409,8 @@ class Missions:
             return
         self._downloads.pop((peer, kind), None)
 
-    def on_write_partial_list(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_WRITE_PARTIAL_LIST was never standardised."""
+    def on_partial_list(self, peer: MavlinkPeer, msg: Message) -> None:
+        """MISSION_WRITE_PARTIAL_LIST and MISSION_REQUEST_PARTIAL_LIST were never standardised."""
         self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
 
     def _fence_after(self) -> int:
@@ -433,7 +435,9 @@ class Missions:
         self._miss_fence()
         ctx, upload, now_us = self._ctx, self._upload, self._ctx.t_us
         if upload is not None:
-            if now_us - upload.progress_us > GIVE_UP_US * ctx.patience:
+            if self._keeps_out(upload.peer):
+                self._end(upload, MissionResult.DENIED, "another client has taken control; the plan in force stays")
+            elif now_us - upload.progress_us > GIVE_UP_US * ctx.patience:
                 label = _LABELS[upload.kind]
                 reason = f"{label} {len(upload.items)} of {upload.count} did not come; the plan in force stays"
                 self._end(upload, MissionResult.OPERATION_CANCELLED, reason)

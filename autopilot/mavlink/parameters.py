@@ -171,6 +171,7 @@ class Parameters:
             return
         if name not in self._index:
             self._refuse(peer, name, -1, _MISSING)
+            ctx.say(notices.PARAMETER_UNKNOWN(name=name), peer)
             return
         if name in self._stubs.table:
             self._refuse(peer, name, self._index[name], _READ_ONLY)

@@ -184,7 +184,7 @@ class MavlinkServer:
         self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file, load)
         self._logs = LogDownload(ctx, log_directory, load)
         self._operators = Operators(ctx, self.parameters.known_value)
-        self.missions = Missions(ctx)
+        self.missions = Missions(ctx, self._operators.keeps_out)
         self.utility = Utility(ctx)
         self.pilot = PilotInputs(ctx, equipment, camera)
         self._set_points = SetPoints(ctx)
@@ -311,7 +311,8 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT: missions.on_request,
             mav.MAVLINK_MSG_ID_MISSION_REQUEST: missions.on_request,
             mav.MAVLINK_MSG_ID_MISSION_ACK: missions.on_ack,
-            mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: missions.on_write_partial_list,
+            mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: missions.on_partial_list,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: missions.on_partial_list,
             mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._progress.on_set_current,
             mav.MAVLINK_MSG_ID_PING: utility.on_ping,
             mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,

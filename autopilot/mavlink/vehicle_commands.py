@@ -195,10 +195,10 @@ class VehicleService:
         aircraft) means TKOFF_DEPTH. COMMAND_LONG has no frame: a depth below the depth band is refused too.
         """
         depth_m = self._depth_m(call.z, call.frame)
-        if call.frame == mav.MAV_FRAME_LOCAL_NED and math.isfinite(call.z):
-            depth_m = call.z
+        if depth_m is None:
+            return _unsupported_frame("takeoff", call.frame)
         deepest_m = math.inf if call.exact else self._ctx.params["DEPTH_MAX"]
-        given = depth_m is not None and 0.0 < depth_m <= deepest_m
+        given = 0.0 < depth_m <= deepest_m
         return Reply(self._ctx.vehicle.take_off(depth_m if given else None))
 
     def change_altitude(self, call: Call) -> Reply:
@@ -206,17 +206,18 @@ class VehicleService:
         frame = call.whole(2)
         if not math.isfinite(call.params[0]):
             return denied(f"change altitude: {call.params[0]:g} m (param1), give a number")
-        if frame == mav.MAV_FRAME_LOCAL_NED:
-            return Reply(self._ctx.vehicle.change_depth(call.params[0]))
         depth_m = None if frame is None else self._depth_m(call.params[0], frame)
         if depth_m is None:
-            reason = f"change altitude: frame {call.param(2):g} is not supported, use 0, 3 or 1"
-            return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
+            return _unsupported_frame("change altitude", call.param(2))
         return Reply(self._ctx.vehicle.change_depth(depth_m))
 
     def _depth_m(self, alt_m: float, frame: int) -> float | None:
-        """Of an altitude; None without one, or in another frame."""
-        if not math.isfinite(alt_m) or (frame not in _GLOBAL and frame not in RELATIVE):
+        """Of an altitude, in LOCAL_NED of a depth; None in another frame, NaN without one."""
+        if not math.isfinite(alt_m):
+            return math.nan
+        if frame == mav.MAV_FRAME_LOCAL_NED:
+            return alt_m
+        if frame not in _GLOBAL and frame not in RELATIVE:
             return None
         return -alt_m if frame in RELATIVE else self._ctx.view.origin.alt_m - alt_m
 
@@ -302,6 +303,8 @@ class VehicleService:
         """MISSION_ITEM with current = 2: ArduPilot's go-to, the only one of QGroundControl to an ArduSub. Its 32 bit
         degrees are finer than the map that was clicked on.
         """
+        if msg.command != mav.MAV_CMD_NAV_WAYPOINT:
+            return denied(f"go-to: command {msg.command} in a MISSION_ITEM with current 2, use NAV_WAYPOINT 16").answer
         change = (-1.0, float(CHANGE_MODE), 0.0, math.nan)
         place = {"x": msg.x, "y": msg.y, "z": msg.z, "frame": msg.frame}
         return self.reposition(Call(peer=peer, command=msg.command, params=change, exact=True, **place)).answer
@@ -384,6 +387,11 @@ class VehicleService:
         if not _usable(lat_deg, lon_deg):
             return _no_place(what, lat_deg, lon_deg)
         return GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
+
+
+def _unsupported_frame(what: str, frame: float) -> Reply:
+    reason = f"{what}: frame {frame:g} is not supported, use 0, 3 or 1"
+    return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
 
 
 def _no_place(what: str, lat_deg: float, lon_deg: float) -> Reply:

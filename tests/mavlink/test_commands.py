@@ -267,6 +267,8 @@ def test_a_takeoff_is_a_dive_whatever_its_altitude_means(world: World, client: C
         world.vehicle.calls.clear()
         assert client.command_int(22, frame, (0, 0, 0, 0), 0, 0, altitude) == R.ACCEPTED
         assert world.vehicle.calls == [("take_off", depth)]
+    world.vehicle.calls.clear()
+    assert client.command_int(22, 10, (0, 0, 0, 0), 0, 0, -0.5) == R.UNSUPPORTED_FRAME and not world.vehicle.calls
 
 
 @pytest.mark.parametrize("command", [192, 34, 179])

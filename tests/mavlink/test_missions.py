@@ -198,14 +198,16 @@ def test_an_item_that_is_a_go_to(profile: str) -> None:
     world = World(profile)
     client = world.client()
 
-    def go_to(current: int = 2) -> int:
-        item = mav.MAVLink_mission_item_message(1, 1, 0, 3, 16, current, 1, 0, 0, 0, 0, 37.9756, 23.7791, -0.4, 0)
+    def go_to(current: int = 2, command: int = 16) -> int:
+        item = mav.MAVLink_mission_item_message(1, 1, 0, 3, command, current, 1, 0, 0, 0, 0, 37.9756, 23.7791, -0.4, 0)
         return int(client.ask(item, "MISSION_ACK", 0.1)[-1].type)
 
     assert go_to(0) == R.UNSUPPORTED and not world.vehicle.calls
     if profile == "px4":
         assert go_to() == R.UNSUPPORTED and not world.vehicle.calls
         return
+    assert go_to(command=21) == R.DENIED and not world.vehicle.calls, "no place to land at is flown to"
+    assert "use NAV_WAYPOINT 16" in client.texts()
     assert go_to() == R.ACCEPTED
     ((name, point, yaw),) = world.vehicle.calls
     assert (name, yaw, point.alt_m) == ("go_to", None, pytest.approx(ORIGIN.alt_m - 0.4))
@@ -217,8 +219,9 @@ def test_an_item_that_is_a_go_to(profile: str) -> None:
 def test_partial_lists_are_unsupported(world: World) -> None:
     client = world.client()
     upload(client, plan(3))
-    (ack,) = client.ask(mav.MAVLink_mission_write_partial_list_message(1, 1, 0, 1, 0), "MISSION_ACK", 0.1)
-    assert ack.type == R.UNSUPPORTED and len(world.plans.items(PlanKind.MISSION)) == 3
+    for message in (mav.MAVLink_mission_write_partial_list_message, mav.MAVLink_mission_request_partial_list_message):
+        (ack,) = client.ask(message(1, 1, 0, 1, 0), "MISSION_ACK", 0.1)
+        assert ack.type == R.UNSUPPORTED and len(world.plans.items(PlanKind.MISSION)) == 3
 
 
 # Sequence, repetition, time
@@ -311,6 +314,17 @@ def test_unsolicited_items_are_errors(world: World) -> None:
     world.run(6.0)
     (ack,) = client.ask(waypoint(1), "MISSION_ACK", 0.1)
     assert ack.type == R.ERROR and len(world.plans.items(PlanKind.MISSION)) == 2
+
+
+def test_who_takes_control_uploads_at_once_and_ends_the_upload_of_another(world: World) -> None:
+    other, owner = world.client(sysid=254, number=1), world.client(number=2)
+    other.send(count(3))
+    world.run(0.1)
+    assert owner.command(32100, 1.0) == 0
+    world.run(0.1)
+    (ack,) = other.got("MISSION_ACK")
+    assert ack.type == R.DENIED and "another client has taken control" in other.texts()
+    assert upload(owner, plan(2), seconds=1.0) == R.ACCEPTED
 
 
 def test_requests_out_of_range_are_invalid_sequences(world: World) -> None:

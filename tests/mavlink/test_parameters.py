@@ -309,6 +309,7 @@ def test_setting_what_does_not_exist(world: World) -> None:
     client = world.client()
     assert set_param(client, "NO_SUCH", 1.0) == []
     assert client.got("PARAM_ERROR")[0].error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    assert "There is no parameter NO_SUCH" in client.texts(), "MAVLink 1 has no PARAM_ERROR"
 
 
 @pytest.mark.parametrize(("name", "wire_type"), [("FS_SOLVER_N", REAL32), ("SPD_CRUISE", INT32)])
