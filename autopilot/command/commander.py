@@ -456,7 +456,8 @@ class Commander:
         if not self._mission.load() or self._modes.chosen is not FlightMode.MISSION:
             return
         if self._modes.armed:
-            self._operator.say(notices.MISSION_CHANGED())
+            loaded = self._plans.items(PlanKind.MISSION)
+            self._operator.say(notices.MISSION_CHANGED() if loaded else notices.MISSION_GONE())
         self._modes.interrupt()
 
     def _watch_check(self, t_us: int) -> None:

@@ -292,6 +292,7 @@ IN_OBSTACLE = _warning(
 
 MISSION_COMPLETE = _info("Mission complete, laps: {laps}{skipped}")
 MISSION_CHANGED = _warning("Mission changed while it ran: holding, start again")
+MISSION_GONE = _warning("Mission cleared while it ran: holding, upload one to go on")
 REACHED = _info("Reached item {seq}")
 REACHED_SEVERAL = _info("Reached items {seqs}")
 REACHED_MANY = _info("Reached {count} items, the last is item {seq}")

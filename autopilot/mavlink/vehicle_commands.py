@@ -285,15 +285,13 @@ class VehicleService:
             return denied("go-to: set the change-mode flag (param2 = 1)")
         yaw = call.params[3]
         yaw_rad = yaw if math.isfinite(yaw) else None
-        if not any(map(math.isfinite, (call.x, call.y, call.z))):
-            answer = ctx.vehicle.pause() if ctx.view.mode is FlightMode.MISSION else ctx.vehicle.go_to(None, yaw_rad)
-            return Reply(answer)
-        point = self._point(call, "go-to")
+        placed = any(map(math.isfinite, (call.x, call.y, call.z)))
+        point = self._point(call, "go-to") if placed else None
         if isinstance(point, Reply):
             return point
         answer = ctx.vehicle.go_to(point, yaw_rad)
         speed_m_s = call.param(1)
-        if answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
+        if placed and answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
             speed = ctx.vehicle.change_speed(speed_m_s)
             if speed.reason:
                 ctx.say(notices.REFUSED(reason=speed.reason), call.peer)

@@ -344,7 +344,11 @@ def test_reposition_without_a_position_is_pause(world: World, client: Client) ->
     world.show(mode=RET)
     assert client.command(192, -1, 1, 0, NAN, NAN, NAN, NAN) == R.ACCEPTED
     assert client.command_int(192, 0, (-1, 1, 0, NAN), INT32_MAX, INT32_MAX, NAN) == R.ACCEPTED
-    assert world.vehicle.calls == [("pause",), ("go_to", None, None), ("go_to", None, None)]
+    assert world.vehicle.calls == [("go_to", None, None)] * 3
+    world.vehicle.calls.clear()
+    world.show(mode=M)
+    assert client.command(192, -1, 1, 0, 1.5, NAN, NAN, NAN) == R.ACCEPTED
+    assert world.vehicle.calls == [("go_to", None, 1.5)], "a turn here, also out of a mission"
 
 
 def test_reposition_with_an_altitude_only_is_a_new_depth_here(world: World, client: Client) -> None:

@@ -169,6 +169,10 @@ def test_a_new_plan_stops_the_running_one() -> None:
     assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
     assert bench.run().mode is FlightMode.HOLD
     assert any("changed" in text for text in bench.texts)
+    assert bench.commander.start_mission(None).result is OK
+    assert bench.plans.replace(PlanKind.MISSION, ()) is None
+    assert bench.run().mode is FlightMode.HOLD
+    assert any("cleared while it ran" in text for text in bench.texts)
 
 
 def test_surfacing_ends_disarmed() -> None:
