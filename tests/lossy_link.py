@@ -14,13 +14,16 @@ import random
 import select
 import signal
 import socket
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 
 RESENT_US = 200_000
 """Linux's least retransmission timeout (TCP_RTO_MIN): a stream waits so long for a segment that was lost."""
 MAX_DATAGRAM = 65_536
+LOCAL, PATIENCE_S = "127.0.0.1", 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,6 +202,25 @@ class Proxy:
         links = [link for path in self.paths.values() for link in (path.up, path.down)]
         names = ("sent", "lost", "duplicated", "overtaken")
         return {name: sum(getattr(link, name) for link in links) for name in names}
+
+
+@contextmanager
+def proxied(listen: int, to: int, conditions: LinkConditions) -> Iterator[Proxy]:
+    """A bad link between two ports of this machine, served by a thread."""
+    proxy, ended = Proxy((LOCAL, listen), (LOCAL, to), conditions, seed=listen), threading.Event()
+
+    def serve() -> None:
+        while not ended.is_set():
+            proxy.step(time.monotonic_ns() // 1000, PATIENCE_S)
+
+    server = threading.Thread(target=serve)
+    server.start()
+    try:
+        yield proxy
+    finally:
+        ended.set()
+        server.join()
+        proxy.close()
 
 
 def main() -> None:

@@ -2,41 +2,19 @@
 
 import signal
 import subprocess
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import autopilot_command, free_port
 from autopilot.run.demo import paper_plan
 from autopilot.sitl.scenario import load_scenario
-from tests.lossy_link import LinkConditions, Proxy
+from tests.lossy_link import LinkConditions, proxied
 
 TETHER = LinkConditions(latency_s=0.1, loss=0.05)
 TRIES = 300
 """Until the service has read the flight controller's parameters and found its position: seconds on an idle machine."""
 WRONG = ("Position reset", "another sender", "not confirmed")
 """What a link does, and a busy machine does not."""
-
-
-@contextmanager
-def _proxy(listen: int, to: int) -> Iterator[Proxy]:
-    proxy, going = Proxy(("127.0.0.1", listen), ("127.0.0.1", to), TETHER, seed=listen), threading.Event()
-
-    def serve() -> None:
-        while not going.is_set():
-            proxy.step(time.monotonic_ns() // 1000, 0.005)
-
-    server = threading.Thread(target=serve)
-    server.start()
-    try:
-        yield proxy
-    finally:
-        going.set()
-        server.join()
-        proxy.close()
 
 
 def test_a_mission_begins_and_ends_in_order_by_a_tether(tmp_path: Path) -> None:
@@ -58,8 +36,8 @@ def test_a_mission_begins_and_ends_in_order_by_a_tether(tmp_path: Path) -> None:
     )
     lines: list[str] = []
     with (
-        _proxy(tether, below) as link,
-        _proxy(poses, ours),
+        proxied(tether, below, TETHER) as link,
+        proxied(poses, ours, TETHER),
         subprocess.Popen(emulated, stdout=subprocess.DEVNULL) as vehicle,
         subprocess.Popen(service, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process,
     ):

@@ -25,6 +25,7 @@ from tests.bench.ardusub.rig import (
     Rig,
 )
 from tests.bench.ardusub.swings import swings
+from tests.lossy_link import LinkConditions
 
 COMPLETE = "complete, no contact"
 WARNING = 4
@@ -135,6 +136,14 @@ def _(bench: Bench) -> str:
 @case("pool by poses, vectored_6dof", COMPLETE)
 def _(bench: Bench) -> str:
     return _mission(bench.rig("vectored_6dof"))
+
+
+@case("tank by poses, tether of 100 ms, 5 % lost", f"{COMPLETE}, no doubt or reset")
+def _(bench: Bench) -> str:
+    tether = LinkConditions(latency_s=0.1, loss=0.05)
+    seen = _mission(bench.rig(laps=3, tether=tether, ours=["EST_EXT_DELAY=0.1"]))
+    must(not re.search("Position reset|another sender|wrong: ", bench.made[-1].said), seen)
+    return seen
 
 
 @case("tank by markers, 3 laps", COMPLETE)

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import LOCAL, autopilot_command, free_port
 from autopilot.sitl.scenario import load_scenario, plan_path
 from tests.bench.ardusub.links import Link
+from tests.lossy_link import LinkConditions, proxied
 
 PARAMETERS = {
     "FS_PILOT_INPUT": 1.0,
@@ -38,8 +40,15 @@ PARAMETERS = {
     "RNGFND1_TYPE": 0.0,
 }
 """As docs/hardware.md asks for them."""
-SIMULATED = {"SIM_BARO_RND": 0.005, "SIM_BAR2_RND": 0.005, "SIM_BAR3_RND": 0.005, "LEAK1_PIN": 1.0, "LEAK1_LOGIC": 0.0}
-"""Of ArduSub's simulation: noise of its pressure sensors [m], and where a leak probe is."""
+SIMULATED = {
+    "SIM_BARO_RND": 0.005,
+    "SIM_BAR2_RND": 0.005,
+    "SIM_BAR3_RND": 0.005,
+    "LEAK1_TYPE": 1.0,
+    "LEAK1_PIN": 1.0,
+    "LEAK1_LOGIC": 0.0,
+}
+"""Of ArduSub's simulation: noise of its pressure sensors [m], and where a (digital) leak probe is."""
 LEAK_BIT = 2.0
 """SIM_PIN_MASK with pin 1 up."""
 HOME = "37.9755,23.779,0,0"
@@ -88,12 +97,16 @@ class Rig:
         laps: int | None = None,
         markers: bool = False,
         levelling: bool = True,
+        tether: LinkConditions | None = None,
     ) -> None:
         """``parameters``: ArduSub's, beside :data:`PARAMETERS`; ``ours``: the service's, NAME=VALUE; ``file_frame``:
         what the service's file says, if it is not the truth; ``place``: scenario, if not that of the frame; ``laps``
         of the mission, if not the shipped ones (one in the tank); ``markers`` on the floor, seen by the vehicle's
-        camera, instead of a tracking system; without ``levelling`` the service's vehicle has no such table."""
+        camera, instead of a tracking system; without ``levelling`` the service's vehicle has no such table; ``tether``:
+        between the service and all that is in the water."""
         folder.mkdir(parents=True)
+        self._tether = tether
+        self._ways = ExitStack()
         self.folder, self.below, self.frame = folder, below, frame
         self.figures: dict[str, float] = {}
         """What was measured, by name and unit."""
@@ -105,6 +118,7 @@ class Rig:
         self.parameters = {**PARAMETERS, "FRAME_CONFIG": FRAMES[frame], **(parameters or {})}
         self._processes: list[Process] = []
         self.operator_port, self._flight_port = free_port(), free_port()
+        self._pose_to, self._flight_to = self._way(self.operator_port), self._way(self._flight_port)
         self.version = ""
         self.ardusub: Process | None = None
         self.water: Process
@@ -147,6 +161,13 @@ class Rig:
         """The pilot's link shows the thrusters at 50 Hz."""
         self.pilot.command(INTERVAL, SERVO_OUTPUT_RAW, 20_000.0)
 
+    def _way(self, port: int) -> int:
+        """The port to which what is in the water sends what is for that one."""
+        if self._tether is None:
+            return port
+        self._ways.enter_context(proxied(listen := free_port(), port, self._tether))
+        return listen
+
     # Processes
 
     def _process(self, name: str, command: Sequence[str]) -> Process:
@@ -157,7 +178,7 @@ class Rig:
 
     def _emulate(self) -> None:
         port = free_port()
-        links = [f"--link=udpout:{LOCAL}:{self._flight_port}", f"--link=udpout:{LOCAL}:{port}"]
+        links = [f"--link=udpout:{LOCAL}:{self._flight_to}", f"--link=udpout:{LOCAL}:{port}"]
         self._pilot_address = f"udpin:{LOCAL}:{port}"
         self.water = self._process("water", autopilot_command("emulate", *self._water, *links))
 
@@ -167,7 +188,7 @@ class Rig:
         place = [self._scenario, "--vehicle", VEHICLES[self.frame], "--frame", self.frame, "--truth", "truth.jsonl"]
         if self._camera_port is not None:
             return [*place, "--camera", f"{LOCAL}:{self._camera_port}"]
-        return [*place, f"--pose=udpout:{LOCAL}:{self.operator_port}"]
+        return [*place, f"--pose=udpout:{LOCAL}:{self._pose_to}"]
 
     def _simulate(self, program: Path) -> None:
         self.instance = next(n for n in range(20, 90) if _is_free(9002 + 10 * n))
@@ -177,7 +198,7 @@ class Rig:
         values = {**self.parameters, **SIMULATED}
         (self.folder / "ardusub.parm").write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
         command = [str(program), "-I", str(self.instance), "--model", f"JSON:{LOCAL}", "--home", HOME]
-        command += ["--speedup", "1", "--serial0", f"udpclient:{LOCAL}:{self._flight_port}"]
+        command += ["--speedup", "1", "--serial0", f"udpclient:{LOCAL}:{self._flight_to}"]
         command += ["--defaults", str(self.folder / "ardusub.parm"), "--wipe"]
         self.ardusub = self._process("ardusub", command)
 
@@ -335,6 +356,7 @@ class Rig:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        self._ways.close()
         found = re.search(r"contacts\W+(\d+)", (self.folder / "water.txt").read_text())
         return int(found[1]) if found else None
 
