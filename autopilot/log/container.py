@@ -1,9 +1,10 @@
 """Records of an MCAP file (mcap.dev, format specification), tolerant of damage.
 
 The file is scanned record by record; bodies of chunks are only read on request. When the scan fails (truncated, or
-a damaged length) the chunk index at the end of the file is used, if it is still there.
+a damaged length) the chunk index at its end is used, if it is still there, or else the next whole chunk is sought.
 """
 
+import mmap
 import struct
 import zlib
 from collections import Counter
@@ -86,6 +87,8 @@ class Contents:
     """Where chunks are, by the index at the end of the file."""
     finished: bool = False
     """The writer closed the file."""
+    damaged: bool = False
+    """Chunks, or bytes before further ones, are not readable."""
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -135,12 +138,15 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
         opcode, length = _PREFIX.unpack(prefix) if len(prefix) == PREFIX_BYTES else (0, size)
         end = offset + PREFIX_BYTES + length
         if end > size or opcode == 0:
-            where = f"at byte {offset} of {size}"
-            if not _resume_from_index(file, size, contents, seen):
-                contents.problems.append(f"the file is cut off {where}")
+            resumed = _resume_from_index(file, size, contents, seen)
+            further = None if resumed else _next_chunk(file, offset)
+            within = resumed or further is not None
+            contents.damaged |= within
+            contents.problems.append(f"the file is {'damaged' if within else 'cut off'} at byte {offset} of {size}")
+            if further is None:
                 return None
-            contents.problems.append(f"the file is damaged {where}")
-            return None
+            offset = further
+            continue
         if opcode == _CHUNK:
             seen.add(offset)
             contents.chunks.append(ChunkRef(offset, end - offset, True))
@@ -219,6 +225,18 @@ def _resume_from_index(file: IO[bytes], size: int, contents: Contents, seen: set
     return True
 
 
+def _next_chunk(file: IO[bytes], damaged: int) -> int | None:
+    """Where the next whole chunk begins behind a damaged record; None if there is none."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        name = damaged + PREFIX_BYTES + _CHUNK_HEAD.size
+        while (name := data.find(b"zstd", name + 1)) >= 0:
+            start = name - PREFIX_BYTES - _CHUNK_HEAD.size
+            opcode, length = _PREFIX.unpack_from(data, start)
+            if opcode == _CHUNK and start + PREFIX_BYTES + length <= len(data):
+                return int(start)
+    return None
+
+
 def index_from_chunks(file: IO[bytes], contents: Contents) -> None:
     """Schemas, channels and counts out of the chunks themselves; chunks that are damaged are taken from the list."""
     contents.counts.clear()
@@ -234,6 +252,7 @@ def index_from_chunks(file: IO[bytes], contents: Contents) -> None:
                 contents.counts.update(dict(zip(numbers.tolist(), times.tolist(), strict=True)))
                 contents.extend(int(found.log_times_ns.min()), int(found.log_times_ns.max()))
         except Damage as damage:
+            contents.damaged = True
             contents.problems.append(f"{damage}; its messages are left out")
         else:
             usable.append(chunk)

@@ -2,7 +2,7 @@
 
 The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is
 locked and left alone; the repaired file is opened and counted again before it replaces the original. An original
-with messages that the copy lacks, because their topics are not known, is kept as ``*.damaged``.
+with messages that the copy lacks (damaged, of unknown compression or of unknown topic) is kept as ``*.damaged``.
 """
 
 import os
@@ -75,7 +75,7 @@ def recover_log(path: Path) -> Recovery | None:
         contents = read_contents(path)
         if contents.finished:
             return None
-        kept = path.with_name(path.name + DAMAGED) if contents.nameless else None
+        kept = path.with_name(path.name + DAMAGED) if contents.nameless or contents.damaged else None
         problem = "; ".join((*contents.problems, *([f"the original is kept as {kept.name}"] if kept else ())))
         if kept is not None and kept.exists():
             raise LogError(f"{path}: not repaired, {kept} would be overwritten; move it away")

@@ -234,6 +234,26 @@ def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path:
     assert not again.repaired and "would be overwritten" in again.problem and path.read_bytes() == before
 
 
+@pytest.mark.parametrize("zeros", [False, True])
+def test_an_unfinished_log_is_read_and_repaired_beyond_a_hole(sound: Path, tmp_path: Path, zeros: bool) -> None:
+    """A power failure leaves blocks of zeros; a chunk of another program may be packed as we cannot read."""
+    chunks = read_contents(sound).chunks
+    data = bytearray(sound.read_bytes())[: len(sound.read_bytes()) * 2 // 3]
+    hole = chunks[3]
+    if zeros:
+        data[hole.offset - 20 : hole.offset + 30] = bytes(50)
+    else:
+        data = data.replace(b"zstd", b"lz4x")
+    path = tmp_path / "hole.mcap"
+    path.write_bytes(data)
+    (recovery,) = recover_unfinished(tmp_path)
+    assert recovery.repaired and "hole.mcap.damaged" in recovery.problem
+    assert (tmp_path / "hole.mcap.damaged").read_bytes() == data
+    if zeros:
+        assert "the file is damaged at byte" in recovery.problem
+        assert open_log(path)["/nav/state"]["t_us"][-1] > open_log(sound)["/nav/state"]["t_us"][-1] // 2
+
+
 _VICTIM = """
 import sys, time
 from pathlib import Path
