@@ -152,6 +152,8 @@ class Tether(Table, frozen=True, kw_only=True):
     pull_n: NonNegative
 
 
+FOCAL = 0.1, 20.0
+"""Of the picture's width and height: fields of view of 157 to 3 degrees."""
 RULER_SIGMA_M = 0.005
 HAND_SIGMA_RAD = 0.0175
 FOCAL_SIGMA, DISTORTION_SIGMA = 0.01, 0.1
@@ -219,6 +221,14 @@ class Camera(Table, frozen=True, kw_only=True):
             raise ValueError(f'`model` = "{self.model}": "flat_port" and the table `port` go together')
         if self.model == "fisheye" and self.distortion[4] != 0.0:
             raise ValueError(f"`distortion[4]` = {self.distortion[4]:g} must be 0 for a fisheye (k1 k2 k3 k4 and 0)")
+        size = f"{self.width_px} x {self.height_px} pixels"
+        for key, given, least, most in (("center_px", self.center_px, 0.0, 1.0), ("focal_px", self.focal_px, *FOCAL)):
+            for i, side_px in enumerate((self.width_px, self.height_px)):
+                if not least * side_px <= given[i] <= most * side_px:
+                    raise ValueError(
+                        f"`{key}[{i}]` = {given[i]:g} does not fit pictures of {size}; use {least * side_px:g} to "
+                        f"{most * side_px:g}: right, then down, calibrated with pictures of that size"
+                    )
 
 
 def _goes_down(direction_frd: Vec3) -> None:

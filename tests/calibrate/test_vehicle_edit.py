@@ -32,16 +32,16 @@ def test_values_change_and_nothing_else(tmp_path: Path) -> None:
     assert "[camera] # PS Eye in its housing" in text
     assert "[[thruster]]" in text
     again = tmp_path / "again.toml"
-    write_updated(str(target), {"camera.focal_px": [1.0, 2.0]}, "again", again)
-    assert load_vehicle(str(again)).camera.focal_px == (1.0, 2.0)
+    write_updated(str(target), {"camera.focal_px": [701.0, 702.0]}, "again", again)
+    assert load_vehicle(str(again)).camera.focal_px == (701.0, 702.0)
     assert len(again.read_text().splitlines()) == len(text.splitlines())
 
 
 def test_arrays_over_several_lines_and_comments_are_kept(tmp_path: Path) -> None:
     lines = (Path(__file__).parents[2] / "autopilot" / "data" / "vehicles" / "lbv150.toml").read_text()
     spread = lines.replace("focal_px = [986.10, 986.22]", "focal_px = [\n    986.10, # x\n    986.22,\n] # both")
-    result = tomllib.loads(edited(spread, {"camera.focal_px": [1.5, 2.5]}, "s", "test"))
-    assert result["camera"]["focal_px"] == [1.5, 2.5]
+    result = tomllib.loads(edited(spread, {"camera.focal_px": [701.5, 702.5]}, "s", "test"))
+    assert result["camera"]["focal_px"] == [701.5, 702.5]
     assert result["camera"]["center_px"] == [351.17, 227.82]
 
 

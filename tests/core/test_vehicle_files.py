@@ -117,6 +117,10 @@ BAD = {
     "voltages": ("bluerov2", "d['curve'].reverse()", ("supply_v", "rises")),
     "old allocation": ("lbv150", "m['model4']['allocation'] = [[1.0]]", ("`allocation`", "model4")),
     "offset of nobody": ("lbv150", "m['body']['thruster_offset_frd_m'] = {'bow': [0.0, 0.0, 0.1]}", ("'bow'",)),
+    "centre beside the picture": ("lbv150", "m['camera']['center_px'][1] = 700.0", ("center_px[1]", "700", "pixels")),
+    "centre of a part": ("bluerov2", "m['camera']['center_px'][0] = -3.0", ("center_px[0]", "-3", "use 0 to")),
+    "focal length in metres": ("lbv150", "m['camera']['focal_px'] = [0.8, 0.8]", ("focal_px[0]", "0.8", "use ")),
+    "size of the sensor": ("bluerov2", "m['camera']['width_px'] = 64000", ("focal_px", "64000 x ")),
     "levelling nought": ("bluerov2", "m['levelling']['inertia_kg_m2'] = [0.0, 1.0]", ("inertia_kg_m2", "> 0")),
 }
 

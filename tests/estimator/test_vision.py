@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 from test_markers_pose import CAMERA, VEHICLE
@@ -171,10 +170,9 @@ SHIFTS_PX = (-900, -640, -420, -300, 0, 300, 420, 640, 900)
 @pytest.mark.parametrize("down_px", SHIFTS_PX)
 def test_a_beam_at_the_border_or_beside_the_picture(right_px: int, down_px: int) -> None:
     """The strip that is looked at is cut at all four borders; of one that is outside nothing is looked at."""
-    table = VEHICLE.camera
-    center_px = (table.center_px[0] + right_px, table.center_px[1] + down_px)
-    shifted = msgspec.structs.replace(table, center_px=center_px)
-    camera = CameraModel.of(shifted, VEHICLE.laser)
+    straight = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+    x_px, y_px = straight.center_px
+    camera = replace(straight, center_px=(x_px + right_px, y_px + down_px))
     x, y = camera.laser_pixel(0.8)
     image = np.clip(np.random.default_rng(0).normal(120.0, 4.0, (480, 640, 3)), 0, 255)
     rows, columns = np.mgrid[0:480, 0:640]
