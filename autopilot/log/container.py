@@ -177,6 +177,9 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
         return None
     for missed in sorted(contents.indexed - seen):
         contents.problems.append(f"the chunk at byte {missed} is damaged; its messages are left out")
+    behind = size - offset - _FOOTER_BYTES
+    if behind > 0:
+        contents.problems.append(f"{behind} bytes behind the end of the log are left out (another log joined to it?)")
     return statistics
 
 

@@ -177,6 +177,18 @@ def test_other_files_are_refused_by_their_first_bytes(tmp_path: Path, content: b
         open_log(tmp_path)
 
 
+@pytest.mark.parametrize("behind", [b"junk", None])
+def test_what_is_behind_the_end_is_told(sound: Path, tmp_path: Path, behind: bytes | None) -> None:
+    """A second log, say, of which nothing is read."""
+    content = sound.read_bytes()
+    joined = tmp_path / "joined.mcap"
+    joined.write_bytes(content + (content if behind is None else behind))
+    more = len(joined.read_bytes()) - len(content)
+    assert [p for p in read_contents(joined).problems if p.startswith(f"{more} bytes behind the end")]
+    done = CliRunner().invoke(log_command, ["info", str(joined)])
+    assert f"{more} bytes behind" in done.output and done.exit_code == 3
+
+
 def test_the_name_does_not_matter(sound: Path, tmp_path: Path) -> None:
     path = tmp_path / "log.bin"
     path.write_bytes(sound.read_bytes())
