@@ -11,7 +11,7 @@ written.
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
@@ -58,8 +58,6 @@ MESSAGE_IDS = {
     "GPS_RAW_INT": 24,
 }
 SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
-INERTIAL_HZ = 50.0
-"""It low-passes gyros and accelerations at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER): more samples tell no more."""
 REBOOT_MS = 1000
 SURFACE_PA = (50_000, 120_000)
 """From a lake at 5500 m to more than the air has ever had."""
@@ -74,6 +72,8 @@ NO_PILOT = "lost manual control"
 class ArduSubOptions(Table, frozen=True, kw_only=True):
     """``[devices.flight_controller]`` with ``driver = "ardusub"``."""
 
+    ahrs_most_hz: ClassVar[float] = 50.0
+    """It low-passes gyros and accelerations at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER): more samples tell no more."""
     connect: str
     """Connection string: "udpin:0.0.0.0:14550" for what its companion sends here, or a serial line."""
     frame: Literal["vectored", "vectored_6dof"]
@@ -109,8 +109,8 @@ class ArduSub(Closing):
         frame = FRAMES[options.frame]
         self._mixer = Mixer(vehicle, frame)
         self._rates_hz = {
-            "ATTITUDE": min(vehicle.ahrs.rate_hz, INERTIAL_HZ),
-            "RAW_IMU": min(vehicle.ahrs.rate_hz, INERTIAL_HZ),
+            "ATTITUDE": min(vehicle.ahrs.rate_hz, options.ahrs_most_hz),
+            "RAW_IMU": min(vehicle.ahrs.rate_hz, options.ahrs_most_hz),
             "SCALED_PRESSURE2": PRESSURE_HZ,
             "SERVO_OUTPUT_RAW": SERVO_HZ,
             "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,

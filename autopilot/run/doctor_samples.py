@@ -73,12 +73,14 @@ def _rate_problem(rate: float, rate_hz: float, remedy: str) -> Problem | None:
 
 
 def _wanted_hz(config: VehicleConfig, row: SensorRow) -> float | None:
-    """Rate by the vehicle file, None where none is wanted or known."""
+    """Rate by the vehicle file, at most what is asked of a flight controller; None where none is wanted or known."""
     if row.device == CAMERA:
         return config.vehicle.eye.rate_hz if config.has_camera else None
     if not row.table or (row.device != AHRS and row.device not in config.devices):
         return None
-    return float(getattr(config.vehicle, row.table).rate_hz)
+    wanted_hz = float(getattr(config.vehicle, row.table).rate_hz)
+    setup = config.devices.get(row.device, config.devices.get(FLIGHT_CONTROLLER))
+    return min(wanted_hz, getattr(None if setup is None else setup.options, f"{row.device}_most_hz", wanted_hz))
 
 
 def _reading(_: VehicleConfig, row: SensorRow) -> SampleCheck:

@@ -433,4 +433,4 @@ def test_flights_go_on_beside_the_service_and_change_nothing_else(bench: Bench) 
     assert (flights.costs, flights.closed) == ([0, 1], 2)
     assert flights.steps == 2 * round(FLOWN_S / CONTROL_S), "as many as the ticks call for"
     assert {"computer", "in flight", "at most"} <= set(found)
-    assert found["attitude"].startswith("100."), "what comes during the flights is not counted"
+    assert found["attitude"].startswith("50."), "what comes during the flights is not counted"

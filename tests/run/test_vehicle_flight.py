@@ -187,7 +187,7 @@ def test_what_a_late_tick_finds_ahead_of_its_time_is_kept_for_the_next(tank: Cal
         flight.run(lambda outputs, end_us=end_us: outputs.t_us >= end_us, 1.0)
     after = counted()
     assert after["ahrs.future"] == before["ahrs.future"]
-    assert after["ahrs.good"] - before["ahrs.good"] > 150
+    assert after["ahrs.good"] - before["ahrs.good"] > 75
 
 
 def test_what_the_pilot_does_with_the_thrusters_is_not_taken_for_a_current(tank: Callable[..., Tank]) -> None:
