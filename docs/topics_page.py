@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 from autopilot.log.cdr import CdrField
-from autopilot.log.schemas import own_comments as comments
-from autopilot.log.schemas import types_of
+from autopilot.log.schemas import definition, types_of
 from autopilot.log.topics import AID_PREFIX, TOPICS
 
 HERE = Path(__file__).resolve().parent
@@ -41,6 +40,16 @@ def described() -> dict[str, tuple[str, str]]:
     """Topic -> rate and text."""
     with TABLE.open(encoding="utf-8", newline="") as file:
         return {row["topic"]: (row["rate"], row["what"]) for row in csv.DictReader(file)}
+
+
+def comments(name: str) -> dict[str, str]:
+    """Comments of the fields of ``package/Name``, by name; a field without a comment is left out."""
+    found = {}
+    for line in definition(name).split("=" * 80)[0].strip().splitlines():
+        head, hash_sign, text = line.partition("#")
+        if hash_sign and head.strip():
+            found[head.split()[1]] = text.strip()
+    return found
 
 
 def missing() -> list[str]:

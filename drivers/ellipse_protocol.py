@@ -87,12 +87,6 @@ def decode_output(data: bytes) -> tuple[int, int] | None:
     return (log, mode) if kind == LOGS else None
 
 
-def encode_imu(imu: Imu) -> bytes:
-    """A frame of log 3; temperature and increments are 0."""
-    data = _IMU.pack(imu.device_us, imu.status, *imu.accel_frd_m_s2, *imu.rate_frd_rad_s) + bytes(28)
-    return encode_frame(IMU_DATA, LOGS, data)
-
-
 def decode_imu(data: bytes) -> Imu | None:
     """None if it is too short or a number is not finite."""
     if len(data) < _IMU.size:
@@ -101,12 +95,6 @@ def decode_imu(data: bytes) -> Imu | None:
     if not all(map(math.isfinite, numbers)):
         return None
     return Imu(device_us, status, tuple(numbers[0:3]), tuple(numbers[3:6]))
-
-
-def encode_attitude(attitude: Attitude) -> bytes:
-    """A frame of log 7; the accuracies are 0."""
-    data = _QUATERNION.pack(attitude.device_us, *attitude.quaternion, 0.0, 0.0, 0.0, attitude.status)
-    return encode_frame(EKF_QUATERNION, LOGS, data)
 
 
 def decode_attitude(data: bytes) -> Attitude | None:

@@ -77,10 +77,6 @@ class LoopTime:
         """Loop time [us] for a machine time; needs at least one pair."""
         return clock_us + max(self._ahead_us)
 
-    def clock_at(self, t_us: int) -> int:
-        """Machine time [us] for a loop time; needs at least one pair."""
-        return t_us - max(self._ahead_us)
-
 
 class StreamClock:
     """Stamps of a stream that are times (RTP, V4L2) on the machine's clock.

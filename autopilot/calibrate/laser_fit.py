@@ -56,8 +56,6 @@ class Beam:
     """Least and largest depth of the dots that were used."""
     residual_px: FloatArray
     """(used, 2)"""
-    used_depth_m: FloatArray
-    """(used,)"""
 
     def sigma_range_m(self, depth_m: float) -> float:
         """Standard deviation that this calibration leaves in a range at this depth (dh = h^2 dv / b)."""
@@ -133,7 +131,6 @@ def fit_beam(dots: Dots, camera: CameraModel) -> Beam:
         dots=len(dots.depth_m),
         depth_m=(float(1.0 / w.max()), float(1.0 / w.min())),
         residual_px=focal * residual,
-        used_depth_m=1.0 / w,
     )
 
 

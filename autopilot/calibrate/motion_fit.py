@@ -37,12 +37,8 @@ class MotionFit:
     sigma_mounting_rad: FloatArray
     """(3,) standard deviations about the body's axes."""
     sigma_late_s: float
-    sigma_bias_rad_s: FloatArray
-    """(3,)"""
     residual_rad: FloatArray
     """(n, 3) of the increments, body frame."""
-    pair_t_s: FloatArray
-    """(n,) where each increment begins."""
     turned_rad: FloatArray
     """(n, 3) increments that the gyros saw, bias taken off."""
     correlation: FloatArray
@@ -108,9 +104,7 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
         gyro_bias_rad_s=bias,
         sigma_mounting_rad=sigma[:3],
         sigma_late_s=float(sigma[6]),
-        sigma_bias_rad_s=sigma[3:6],
         residual_rad=residual,
-        pair_t_s=begin_s,
         turned_rad=turned,
         correlation=scan,
     )

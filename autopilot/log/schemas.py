@@ -165,16 +165,6 @@ def type_names() -> list[str]:
     return list(_DEFINITIONS)
 
 
-def own_comments(name: str) -> dict[str, str]:
-    """Comments of the fields of ``package/Name``, by name; a field without a comment is left out."""
-    found = {}
-    for line in _DEFINITIONS[short_name(name)].strip().splitlines():
-        head, hash_sign, text = line.partition("#")
-        if hash_sign and head.strip():
-            found[head.split()[1]] = text.strip()
-    return found
-
-
 @cache
 def definition(name: str) -> str:
     """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if it is unknown."""

@@ -116,7 +116,7 @@ def test_every_limit_can_bind_and_is_named() -> None:
         ({"depth_max_m": 0.305}, "depth"),
         ({"thrust_n": np.array([11.0, 11.0, 0.7, 11.0])}, "thruster 3 thrust"),
     ):
-        alpha, binding, _ = analytic_alpha(law, B, limits(**changes))
+        alpha, binding = analytic_alpha(law, B, limits(**changes))
         assert binding == name and 0.0 < alpha < analytic_alpha(law, B, limits())[0]
 
 

@@ -64,8 +64,11 @@ class EllipseEmulator(AlwaysOpen):
         device_us = (t_us + 4_000_000_000) % (1 << 32)  # it has been on for a while: its clock overflows in 295 s
         quat = tuple(quat_from_rpy(np.array(RPY_RAD)).tolist())
         return [
-            (ellipse.IMU_DATA, ellipse.encode_imu(ellipse.Imu(device_us, 0x7F, ACCEL_M_S2, RATE_RAD_S))),
-            (ellipse.EKF_QUATERNION, ellipse.encode_attitude(ellipse.Attitude(device_us, quat, 0x32))),
+            (log, ellipse.encode_frame(log, ellipse.LOGS, data))
+            for log, data in (
+                (ellipse.IMU_DATA, struct.pack("<IH6f28x", device_us, 0x7F, *ACCEL_M_S2, *RATE_RAD_S)),
+                (ellipse.EKF_QUATERNION, struct.pack("<I7fI", device_us, *quat, 0.0, 0.0, 0.0, 0x32)),
+            )
         ]
 
 

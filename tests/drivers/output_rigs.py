@@ -15,7 +15,7 @@ from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
 from autopilot.drivers.thruster_output import SafeThrusterOutput
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
 from autopilot.sitl.pty_line import PtyLine
-from autopilot.sitl.sabertooth_emulator import SabertoothEmulator
+from tests.drivers.sabertooth_emulator import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 TICK_US = 10_000

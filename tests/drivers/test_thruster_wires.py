@@ -16,7 +16,7 @@ from autopilot.drivers.sabertooth import TIMEOUT_EVERY, Sabertooth, SabertoothOp
 from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
 from autopilot.drivers.thruster_output import INSPECT_EVERY
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
-from autopilot.sitl.sabertooth_emulator import SabertoothEmulator
+from tests.drivers.sabertooth_emulator import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500,) * 4

@@ -26,8 +26,8 @@ from autopilot.sitl.floor import build_floor
 from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.pty_line import PtyLine
-from autopilot.sitl.sabertooth_emulator import SabertoothEmulator
 from autopilot.sitl.scenario import load_scenario
+from tests.drivers.sabertooth_emulator import SabertoothEmulator
 
 SCENARIO = load_scenario("paper-tank")
 VEHICLE = load_vehicle("lbv150")

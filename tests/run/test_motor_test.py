@@ -10,7 +10,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.sabertooth import Sabertooth, SabertoothOptions
 from autopilot.run.motor_test import MOST_S, pulses, turn
 from autopilot.run.vehicle_config import load_config
-from autopilot.sitl.sabertooth_emulator import SabertoothEmulator
+from tests.drivers.sabertooth_emulator import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 

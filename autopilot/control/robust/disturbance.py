@@ -42,7 +42,6 @@ class EstimateSpread:
 
     position_m2: float
     depth_m2: float
-    yaw_rad2: float
     planar_m2_s2: float
     heave_m2_s2: float
     current_m2_s2: float
@@ -54,7 +53,6 @@ class EstimateSpread:
         return cls(
             position_m2=min(max(v[0], v[1]), DISTURBANCE.position_variance_limit_m2),
             depth_m2=min(v[2], DISTURBANCE.position_variance_limit_m2),
-            yaw_rad2=min(v[5], DISTURBANCE.position_variance_limit_m2),
             planar_m2_s2=min(max(v[6], v[7]), DISTURBANCE.velocity_variance_limit_m2_s2),
             heave_m2_s2=min(v[8], DISTURBANCE.velocity_variance_limit_m2_s2),
             current_m2_s2=min(max(v[9], v[10]), DISTURBANCE.velocity_variance_limit_m2_s2),

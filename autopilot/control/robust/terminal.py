@@ -81,8 +81,6 @@ class Certificate:
     """Level of the region, 0 = it is empty."""
     binding: str
     """The limit that decides alpha."""
-    alpha_by_limit: dict[str, float]
-    """alpha that every limit alone would allow; negative = the goal itself is beyond the limit."""
     radius_m: float
     """Largest horizontal error in the region."""
     depth_m: float
@@ -169,7 +167,7 @@ def _goal_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
     return a
 
 
-def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[float, str, dict[str, float]]:
+def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[float, str]:
     """Largest level of E = e^T P e that satisfies every limit.
 
     On the ellipsoid E <= alpha a linear function h^T e has the maximum sqrt(alpha h^T P^-1 h).
@@ -180,8 +178,6 @@ def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[f
         The level, 0 if the goal itself violates a limit.
     binding
         Name of the limit that decides it.
-    levels
-        Level by each limit alone; negative if the goal violates it.
     """
     spread = np.linalg.inv(law.p)
     feedback = np.einsum("ij,jk,ik->i", law.k, spread, law.k)
@@ -203,7 +199,7 @@ def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[f
         slacks[f"{name} thrust"] = (float(limits.thrust_n[i] - abs(law.thrust_n[i])), feedback[i])
     levels = {name: math.copysign(slack * slack, slack) / float(size) for name, (slack, size) in slacks.items()}
     binding = min(levels, key=lambda name: levels[name])
-    return max(levels[binding], 0.0), binding, levels
+    return max(levels[binding], 0.0), binding
 
 
 def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -249,7 +245,7 @@ class CertificateJob:
 
     def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
         self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples
-        self._alpha, self._binding, self._alpha_by_limit = analytic_alpha(law, goal, limits)
+        self._alpha, self._binding = analytic_alpha(law, goal, limits)
         self._to_error = np.linalg.inv(np.linalg.cholesky(law.p)).T
         self._done = 0
         self._shrunk = 0
@@ -285,7 +281,6 @@ class CertificateJob:
         return Certificate(
             alpha=self._alpha,
             binding="decrease" if self._shrunk else self._binding,
-            alpha_by_limit=self._alpha_by_limit,
             radius_m=math.sqrt(float(np.linalg.eigvalsh(spread[:2, :2])[-1])),
             depth_m=math.sqrt(float(spread[Z, Z])),
             yaw_rad=math.sqrt(float(spread[YAW, YAW])),

@@ -1,7 +1,6 @@
 """Tightening of the limits of the prediction, node by node."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -31,30 +30,6 @@ class BackOffs:
     """(N-1,)"""
     thrust_n: FloatArray
     """(N, n)"""
-
-
-class Tightening(Protocol):
-    """The interface of constraint tightening. One instance per vehicle; deterministic."""
-
-    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """Back-offs along the plan, constant for one QP.
-
-        Parameters
-        ----------
-        nav
-            The estimate; its variance widens the margins.
-        x
-            (N+1, 8) planned states.
-        thrust_n
-            (N, n) planned thrust [N].
-        params
-            The live parameters.
-        """
-        ...
-
-    def clearance_m(self, params: ParamSet) -> float:
-        """Clearance beyond the body radius [m] that routes keep so that the optimiser can follow them."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

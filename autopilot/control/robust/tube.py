@@ -107,7 +107,7 @@ class TubeMargins:
         self._plan_address = 0
         self._nav: NavState | None = None
         self._spread = EstimateSpread(
-            position_m2=0.0, depth_m2=0.0, yaw_rad2=0.0, planar_m2_s2=0.0, heave_m2_s2=0.0, current_m2_s2=0.0
+            position_m2=0.0, depth_m2=0.0, planar_m2_s2=0.0, heave_m2_s2=0.0, current_m2_s2=0.0
         )
         self._params_seen: tuple[ParamSet, int] | None = None
         self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
@@ -127,8 +127,9 @@ class TubeMargins:
     def back_offs(
         self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_fraction: float = 1.0
     ) -> BackOffs:
-        """See :meth:`autopilot.control.robust.tightening.Tightening.back_offs`.
+        """Back-offs along the plan, constant for one QP.
 
+        ``nav``: its variance widens the margins; ``x``: (N+1, 8) planned states; ``thrust_n``: (N, n) planned [N];
         ``speed_fraction``: fraction of the planar speed's back-off that is applied, at least the fixed margin.
         ValueError if the plan has another grid.
         """
