@@ -14,6 +14,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Severity
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.drivers.protocols import Device, FlightController, Noticing, Sensor, ThrusterOutput
 
 FIRST_PAUSE_US = 500_000
@@ -36,13 +37,14 @@ class DeviceState(Enum):
     UP = "up"
 
 
-class RetryingDevice(Generic[D]):
+class RetryingDevice(NoticeQueue, Generic[D]):
     """A device that is reopened after failures. ``name``: its name for operators."""
 
     speaks: ClassVar[bool] = False
     """It is back with its first data: a UDP port opens whether or not anybody is there."""
 
     def __init__(self, device: D, name: str) -> None:
+        super().__init__()
         self.device = device
         self.name = name
         self.problem = "not opened yet"
@@ -59,7 +61,6 @@ class RetryingDevice(Generic[D]):
         self._last_received_us = 0
         self._retry_us = 0
         self._pause_us = FIRST_PAUSE_US
-        self._notices: list[tuple[Severity, str]] = []
         self._reported = ""
 
     @property
@@ -67,10 +68,6 @@ class RetryingDevice(Generic[D]):
         if not self._up:
             return DeviceState.DOWN
         return DeviceState.SILENT if self._silent else DeviceState.UP
-
-    def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        notices, self._notices = self._notices, []
-        return notices
 
     def attend(self, t_us: int) -> bool:
         """Whether the device can be used now; starts a reconnection if needed."""

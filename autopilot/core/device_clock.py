@@ -17,7 +17,7 @@ from collections import deque
 from statistics import median
 
 from autopilot.core import operator_messages as notices
-from autopilot.core.messages import Severity
+from autopilot.core.notice_queue import NoticeQueue
 
 FAR_US = 50_000.0
 """A difference that is off by more belongs to late samples, another latency or another setting of the clock."""
@@ -60,7 +60,7 @@ ANY_SPAN_US = 1 << 63
 """Of a clock that does not wrap."""
 
 
-class DeviceClock:
+class DeviceClock(NoticeQueue):
     GAIN = 0.01
     """Share of a new difference once the start is over (1 s at 100 Hz)."""
     CLIP_US = 5_000.0
@@ -71,7 +71,7 @@ class DeviceClock:
         self._span_us = span_us
         self.jumps = 0
         """Number of jumps of the device's clock by more than FAR_US."""
-        self._notices: list[tuple[Severity, str]] = []
+        super().__init__()
         self._unreported: list[int] = []
         self._reported_us: int | None = None
         self._emitted_us = -(1 << 62)
@@ -107,11 +107,6 @@ class DeviceClock:
     def offset_us(self) -> float:
         """The service's time minus the device's, mean latency included, modulo the range of its counter."""
         return self._offset_us
-
-    def take_notices(self) -> list[tuple[Severity, str]]:
-        """Notices to operators since the last call."""
-        notices, self._notices = self._notices, []
-        return notices
 
     def _step(self, device_us: int) -> int:
         """Step from the last stamp to this one [us], modulo the counter's range."""

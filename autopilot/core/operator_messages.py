@@ -7,6 +7,7 @@ conditions of failsafes have a table of their own, :mod:`autopilot.command.fails
 
 import string
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 from autopilot.core.messages import FALLBACK_TEXT, Event, Severity
@@ -45,29 +46,12 @@ class Row:
         return self(**fields).event(t_us)
 
 
-def _debug(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.DEBUG, template, meaning, remedy)
-
-
-def _info(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.INFO, template, meaning, remedy)
-
-
-def _notice(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.NOTICE, template, meaning, remedy)
-
-
-def _warning(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.WARNING, template, meaning, remedy)
-
-
-def _error(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.ERROR, template, meaning, remedy)
-
-
-def _critical(template: str, meaning: str = "", remedy: str = "") -> Row:
-    return Row(Severity.CRITICAL, template, meaning, remedy)
-
+_debug = partial(Row, Severity.DEBUG)
+_info = partial(Row, Severity.INFO)
+_notice = partial(Row, Severity.NOTICE)
+_warning = partial(Row, Severity.WARNING)
+_error = partial(Row, Severity.ERROR)
+_critical = partial(Row, Severity.CRITICAL)
 
 # Arming, modes and the end of a run
 

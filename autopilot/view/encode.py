@@ -84,7 +84,7 @@ def scene_of(
 def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> ViewFrame:
     out, mode = snapshot.outputs, snapshot.outputs.mode
     t_us, count = out.t_us, len(vehicle.thrusters)
-    health, limits_s = snapshot.thrusters, sensor_limits_s(vehicle)
+    health, limits_s = snapshot.latest.thrusters, sensor_limits_s(vehicle)
     return ViewFrame(
         scene=snapshot.scene,
         sent_s=round(now_s, 3),
@@ -118,11 +118,11 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
                 age_s=_age_s(t_us, aid.t_us),
                 limit_s=limits_s.get(aid.sensor, UNKNOWN_S),
             )
-            for aid in snapshot.aids.values()
+            for aid in snapshot.latest.aids.values()
         ),
         devices=tuple(
             DeviceView(name=name, age_s=_age_s(t_us, received_us), limit_s=limits_s.get(name, UNKNOWN_S))
-            for name, received_us in snapshot.received_us.items()
+            for name, received_us in snapshot.latest.received_us.items()
         ),
         battery=_battery(snapshot),
         loop=_loop(snapshot),
@@ -194,7 +194,7 @@ def _age_s(t_us: int, since_us: int) -> float:
 
 def _newest_us(snapshot: TickSnapshot, nav: NavState) -> int:
     """Of when an estimate is: its attitude is no newer than the AHRS."""
-    return min(nav.t_us, snapshot.received_us.get("ahrs", nav.t_us))
+    return min(nav.t_us, snapshot.latest.received_us.get("ahrs", nav.t_us))
 
 
 def _numbers(values: Iterable[float]) -> tuple[float, ...]:
@@ -263,7 +263,7 @@ def _tracks(snapshot: TickSnapshot) -> tuple[ObstacleView, ...]:
             radius_m=_number(track.radius_m),
             age_s=_age_s(snapshot.outputs.t_us, track.t_us),
         )
-        for number, track in snapshot.tracks.items()
+        for number, track in snapshot.latest.tracks.items()
     )
 
 
@@ -298,7 +298,7 @@ def _progress(out: Outputs) -> ProgressView | None:
 
 
 def _control(snapshot: TickSnapshot) -> Control | None:
-    control, plan, goal = snapshot.control, snapshot.plan, snapshot.outputs.goal
+    control, plan, goal = snapshot.latest.control, snapshot.latest.plan, snapshot.outputs.goal
     if control is None:
         return None
     if plan is not None and (goal is None or plan.seq != goal.seq):
@@ -320,17 +320,17 @@ def _control(snapshot: TickSnapshot) -> Control | None:
         tube_m=_numbers(control.tube_m) if tubed else (),
         eta_s=None if plan is None else _number(plan.eta_s),
         energy_j=None if plan is None else _number(plan.energy_j),
-        plan_age_s=None if plan is None else _age_s(snapshot.outputs.t_us, snapshot.plan_us),
+        plan_age_s=None if plan is None else _age_s(snapshot.outputs.t_us, snapshot.latest.plan_us),
     )
 
 
 def _measured(snapshot: TickSnapshot, limits_s: dict[str, float]) -> Measured | None:
-    nav, rpy_rad, depth_m = snapshot.outputs.nav, snapshot.ahrs_rpy_rad, snapshot.depth_m
+    nav, rpy_rad, depth_m = snapshot.outputs.nav, snapshot.latest.ahrs_rpy_rad, snapshot.latest.depth_m
     if nav is not None and nav.health is not NavHealth.INVALID:
         return None
 
     def fresh(device: str) -> bool:
-        received_us = snapshot.received_us.get(device)
+        received_us = snapshot.latest.received_us.get(device)
         return received_us is not None and _age_s(snapshot.outputs.t_us, received_us) <= limits_s.get(device, UNKNOWN_S)
 
     return Measured(
@@ -340,11 +340,11 @@ def _measured(snapshot: TickSnapshot, limits_s: dict[str, float]) -> Measured | 
 
 
 def _battery(snapshot: TickSnapshot) -> BatteryView | None:
-    power = snapshot.power
+    power = snapshot.latest.power
     if power is None:
         return None
     return BatteryView(
-        age_s=_age_s(snapshot.outputs.t_us, snapshot.received_us.get("battery", power.t_us)),
+        age_s=_age_s(snapshot.outputs.t_us, snapshot.latest.received_us.get("battery", power.t_us)),
         voltage_v=_number(power.voltage_v),
         current_a=_number(power.current_a),
         energy_used_j=_number(power.energy_used_j),
@@ -353,7 +353,7 @@ def _battery(snapshot: TickSnapshot) -> BatteryView | None:
 
 
 def _loop(snapshot: TickSnapshot) -> Loop | None:
-    stats = snapshot.loop
+    stats = snapshot.latest.loop
     if stats is None:
         return None
     return Loop(

@@ -8,8 +8,8 @@ is complete, immutable, and published by one assignment. All further work is don
 
 import time
 from collections import deque
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -112,6 +112,26 @@ class CapturedPicture:
     sighting: MarkerSighting | None
 
 
+@dataclass(slots=True, eq=False, kw_only=True)
+class LatestValues:
+    """Latest values of what does not arrive on every tick."""
+
+    control: ControlOutput | None = None
+    """Of the last control step."""
+    plan: EnergyPlan | None = None
+    plan_us: int = 0
+    """Time at which it came into force."""
+    thrusters: ThrusterHealthState | None = None
+    loop: LoopStats | None = None
+    power: PowerSample | None = None
+    ahrs_rpy_rad: FloatArray | None = None
+    depth_m: float | None = None
+    received_us: dict[str, int] = field(default_factory=dict)
+    """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
+    aids: dict[str, AidStatus] = field(default_factory=dict)
+    tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TickSnapshot:
     """All that a frame is made of, as it was at one tick."""
@@ -125,49 +145,10 @@ class TickSnapshot:
     fence: Fence
     truth: TruthSeen | None
     solids: tuple[Solid, ...]
-    control: ControlOutput | None
-    """Of the last control step."""
-    plan: EnergyPlan | None
-    plan_us: int
-    """Time at which it came into force."""
-    thrusters: ThrusterHealthState | None
-    received_us: Mapping[str, int]
-    """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
-    aids: Mapping[str, AidStatus]
-    tracks: Mapping[int, ObstacleTrack]
-    power: PowerSample | None
-    ahrs_rpy_rad: FloatArray | None
-    depth_m: float | None
-    loop: LoopStats | None
+    latest: LatestValues
     messages: tuple[tuple[int, Event], ...]
     trail_ned_m: tuple[FloatArray, ...]
     picture: CapturedPicture | None
-
-
-@dataclass(slots=True)
-class _Kept:
-    """Latest values that do not arrive on every tick."""
-
-    control: ControlOutput | None = None
-    plan: EnergyPlan | None = None
-    plan_us: int = 0
-    thrusters: ThrusterHealthState | None = None
-    loop: LoopStats | None = None
-    power: PowerSample | None = None
-    ahrs_rpy_rad: FloatArray | None = None
-    depth_m: float | None = None
-    received_us: dict[str, int] = field(default_factory=dict)
-    aids: dict[str, AidStatus] = field(default_factory=dict)
-    tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
-    readings: dict[str, bytes] = field(default_factory=dict)
-
-    def news(self, row: SensorRow, sample: Sample) -> bool:
-        """Whether a device reports a change."""
-        if not row.reading:
-            return True
-        reading: bytes = np.asarray(getattr(sample, row.reading)).tobytes()
-        before, self.readings[row.device] = self.readings.get(row.device), reading
-        return reading != before
 
 
 class Feed:
@@ -176,7 +157,8 @@ class Feed:
     def __init__(self, watched: Watched, scenes: int = 0) -> None:
         """``scenes``: how many scenes other runs have had on the same page."""
         self._watched_run = watched
-        self._kept = _Kept()
+        self._kept = LatestValues()
+        self._readings: dict[str, bytes] = {}
         self._messages: deque[tuple[int, Event]] = deque(maxlen=MESSAGES)
         self._message_count = 0
         self._trail: deque[FloatArray] = deque(maxlen=TRAIL_POINTS)
@@ -231,7 +213,7 @@ class Feed:
             kept.aids[aid.sensor] = aid
         for sample in inputs.samples:
             row = DEVICES.get(type(sample))
-            if row is not None and kept.news(row, sample):
+            if row is not None and self._is_news(row, sample):
                 kept.received_us[row.device] = inputs.t_us
             if isinstance(sample, AhrsSample):
                 kept.ahrs_rpy_rad = sample.rpy_rad
@@ -241,6 +223,14 @@ class Feed:
                 kept.power = sample
             elif isinstance(sample, ObstacleTrack):
                 kept.tracks[sample.track_id] = sample
+
+    def _is_news(self, row: SensorRow, sample: Sample) -> bool:
+        """Whether a device reports a change."""
+        if not row.reading:
+            return True
+        reading: bytes = np.asarray(getattr(sample, row.reading)).tobytes()
+        before, self._readings[row.device] = self._readings.get(row.device), reading
+        return reading != before
 
     def _queue_picture(self, now_s: float, inputs: Inputs, frames: Sequence[CameraFrame]) -> None:
         """A picture waits until its detections are done, or the next one arrives."""
@@ -268,14 +258,7 @@ class Feed:
 
     def _show(self, picture: CapturedPicture, sighting: MarkerSighting | None) -> None:
         self._unseen = None
-        self._picture = CapturedPicture(
-            number=picture.number,
-            t_us=picture.t_us,
-            pixels=picture.pixels,
-            width_px=picture.width_px,
-            height_px=picture.height_px,
-            sighting=sighting,
-        )
+        self._picture = replace(picture, sighting=sighting)
 
     def _put(self, now_s: float, outputs: Outputs) -> None:
         run, kept, t_us = self._watched_run, self._kept, outputs.t_us
@@ -296,17 +279,12 @@ class Feed:
             fence=run.fence(),
             truth=run.truth(),
             solids=run.solids(),
-            control=kept.control,
-            plan=kept.plan,
-            plan_us=kept.plan_us,
-            thrusters=kept.thrusters,
-            received_us=dict(kept.received_us),
-            aids=dict(kept.aids),
-            tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
-            power=kept.power,
-            ahrs_rpy_rad=kept.ahrs_rpy_rad,
-            depth_m=kept.depth_m,
-            loop=kept.loop,
+            latest=replace(
+                kept,
+                received_us=dict(kept.received_us),
+                aids=dict(kept.aids),
+                tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
+            ),
             messages=tuple(self._messages),
             trail_ned_m=tuple(self._trail),
             picture=self._picture,

@@ -44,7 +44,7 @@ from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL, read_path
 from autopilot.view.controls import DragCurrent, DragObstacle, Steered, ViewError, dragged
 from autopilot.view.encode import frame_of, message_of, picture_view, plan_points_m, scene_of
-from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, UNKNOWN_NED_M, TickSnapshot, TruthSeen
+from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, UNKNOWN_NED_M, LatestValues, TickSnapshot, TruthSeen
 from autopilot.view.page_state import (
     FlowView,
     LogFramesView,
@@ -235,17 +235,19 @@ class LogFrames:
             fence=self._fence,
             truth=self._truth(t_us),
             solids=self._solids(t_us),
-            control=control,
-            plan=None if plan is None else _plan(plan),
-            plan_us=0 if plan is None else plan["t_us"],
-            thrusters=None if health is None else self._effective(health),
-            received_us=self._received_us(t_us),
-            aids={aid.sensor: aid for topic in self._aids if (aid := self._aid(topic, t_us)) is not None},
-            tracks=self._tracks(t_us),
-            power=None if power is None else _power(power),
-            ahrs_rpy_rad=None if ahrs is None else ahrs["rpy_rad"],
-            depth_m=None if depth is None else float(depth["depth_m"]),
-            loop=self._loop(t_us),
+            latest=LatestValues(
+                control=control,
+                plan=None if plan is None else _plan(plan),
+                plan_us=0 if plan is None else plan["t_us"],
+                thrusters=None if health is None else self._effective(health),
+                received_us=self._received_us(t_us),
+                aids={aid.sensor: aid for topic in self._aids if (aid := self._aid(topic, t_us)) is not None},
+                tracks=self._tracks(t_us),
+                power=None if power is None else _power(power),
+                ahrs_rpy_rad=None if ahrs is None else ahrs["rpy_rad"],
+                depth_m=None if depth is None else float(depth["depth_m"]),
+                loop=self._loop(t_us),
+            ),
             messages=(),
             trail_ned_m=(),
             picture=None,
@@ -317,7 +319,7 @@ class LogFrames:
             age_s=float(row["age_s"]),
         )
 
-    def _received_us(self, t_us: int) -> Mapping[str, int]:
+    def _received_us(self, t_us: int) -> dict[str, int]:
         found: dict[str, int] = {}
         for topic, row in self._devices.items():
             received_us = self._news_us(topic, row.reading, t_us)
@@ -339,7 +341,7 @@ class LogFrames:
             at_us = before["t_us"]
         return at_us
 
-    def _tracks(self, t_us: int) -> Mapping[int, ObstacleTrack]:
+    def _tracks(self, t_us: int) -> dict[int, ObstacleTrack]:
         """The last report of each obstacle, the reports of some seconds looked at backwards."""
         found: dict[int, ObstacleTrack] = {}
         at_us = t_us
