@@ -58,16 +58,14 @@ def test_every_profile_takes_and_gives_back_the_same_plan(profile: str) -> None:
     assert same_on_the_wire(client.download(PlanKind.MISSION), plan.mission)
 
 
-def test_progress_grows_to_the_end() -> None:
-    link = MemoryLink()
+def test_progress_grows_to_the_end(link: MemoryLink) -> None:
     seen: list[tuple[int, int]] = []
     session(link).upload(PlanKind.MISSION, long_mission(20), lambda done, total: seen.append((done, total)))
     assert seen == sorted(seen)
     assert seen[-1] == (20, 20)
 
 
-def test_an_empty_plan_clears() -> None:
-    link = MemoryLink()
+def test_an_empty_plan_clears(link: MemoryLink) -> None:
     client = session(link)
     client.upload(PlanKind.MISSION, long_mission(3))
     client.upload(PlanKind.MISSION, ())
@@ -90,8 +88,7 @@ def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> Non
     assert same_on_the_wire(link.plans.items(PlanKind.MISSION), good)
 
 
-def test_a_plan_that_is_stored_and_not_flown_names_the_obstacle() -> None:
-    link = MemoryLink()
+def test_a_plan_that_is_stored_and_not_flown_names_the_obstacle(link: MemoryLink) -> None:
     client = session(link)
     client.upload(PlanKind.FENCE, paper_plan().fence)
     circle = paper_plan().fence[5]
@@ -120,8 +117,7 @@ def test_an_armed_vehicle_says_what_is_wrong_with_its_plans_to_every_client_and_
     assert client.plan_problem() == ""
 
 
-def test_a_vehicle_that_falls_silent_is_reported() -> None:
-    link = MemoryLink()
+def test_a_vehicle_that_falls_silent_is_reported(link: MemoryLink) -> None:
     client = session(link)
     link.cut = True
     with pytest.raises(PlanError, match="did not answer for 10 s"):
@@ -132,8 +128,7 @@ def test_a_vehicle_that_falls_silent_is_reported() -> None:
         client.arm()
 
 
-def test_no_vehicle_at_all() -> None:
-    link = MemoryLink()
+def test_no_vehicle_at_all(link: MemoryLink) -> None:
     link.cut = True
     with pytest.raises(DriverError, match="no vehicle heard on link within 2 s"):
         VehicleConnection(link, clock_s=link.clock_s).connect(2.0)
@@ -150,16 +145,14 @@ def _swallow(link: MemoryLink, message_id: int) -> None:
     link.receive = without  # type: ignore[method-assign]
 
 
-def test_an_upload_whose_final_answer_is_lost_for_good_is_checked_by_reading_back() -> None:
-    link = MemoryLink()
+def test_an_upload_whose_final_answer_is_lost_for_good_is_checked_by_reading_back(link: MemoryLink) -> None:
     client = session(link)
     _swallow(link, 47)  # MISSION_ACK
     client.upload(PlanKind.MISSION, long_mission(4))
     assert len(link.plans.items(PlanKind.MISSION)) == 4
 
 
-def test_arm_refused_with_reasons_then_forced() -> None:
-    link = MemoryLink()
+def test_arm_refused_with_reasons_then_forced(link: MemoryLink) -> None:
     client = session(link)
     link.vehicle.not_ready = "no position estimate"
     with pytest.raises(CommandRefusedError, match="no position estimate"):
@@ -190,8 +183,7 @@ def test_the_papers_mission_flown_from_the_client(loss: dict[str, float]) -> Non
     assert [len(s.reached) for s in seen] == sorted(len(s.reached) for s in seen)
 
 
-def test_watching_ends_when_the_vehicle_disarms_or_time_is_up() -> None:
-    link = MemoryLink()
+def test_watching_ends_when_the_vehicle_disarms_or_time_is_up(link: MemoryLink) -> None:
     client = session(link)
     client.upload(PlanKind.MISSION, (*long_mission(1), _far(1)))
     client.arm()
@@ -224,8 +216,7 @@ def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
     assert str(refusal.value).endswith(said)
 
 
-def test_timers_can_be_patient() -> None:
-    link = MemoryLink()
+def test_timers_can_be_patient(link: MemoryLink) -> None:
     client = VehicleConnection(link, Timers(give_up_s=1.0), clock_s=link.clock_s)
     client.connect()
     link.cut = True
@@ -279,8 +270,7 @@ def test_an_exchange_is_given_up_in_the_vehicles_time() -> None:
     assert (link.t_us - begun_us) * 1e-6 > 5.0
 
 
-def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
-    link = MemoryLink()
+def test_silence_of_a_process_that_is_at_work_is_waited_out(link: MemoryLink) -> None:
     asked: list[float] = []
 
     def at_work() -> bool:
@@ -301,9 +291,8 @@ def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_client_that_is_itself_held_up_outlasts_a_process_at_work(seed: int) -> None:
+def test_a_client_that_is_itself_held_up_outlasts_a_process_at_work(link: MemoryLink, seed: int) -> None:
     """Its clock jumps at any reading, also between looking for messages and judging the silence."""
-    link = MemoryLink()
     rng = random.Random(seed)
     jumped_s, cut_until = 0.0, 0
 

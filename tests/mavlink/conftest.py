@@ -3,9 +3,19 @@
 from collections.abc import Callable
 
 import pytest
-from mavlink_harness import World
+from mavlink_harness import Client, World
 
 from autopilot.mavlink.api import CommandReply, CommandResult
+
+
+@pytest.fixture(name="world")
+def world_fixture() -> World:
+    return World()
+
+
+@pytest.fixture(name="client")
+def client_fixture(world: World) -> Client:
+    return world.client()
 
 
 @pytest.fixture

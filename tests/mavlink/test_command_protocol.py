@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_harness import World, mav
+from mavlink_harness import Client, World, mav
 
 from autopilot.core.messages import RunEnd
 from autopilot.core.params import PARAMETERS
@@ -92,9 +92,7 @@ def test_what_is_being_carried_out_can_be_cancelled(command: int, mode: FlightMo
         assert not client.got("COMMAND_ACK") and not world.vehicle.calls, "what is over is not cancelled"
 
 
-def test_a_restart_is_for_a_disarmed_vehicle_and_asked_for_once() -> None:
-    world = World()
-    client = world.client()
+def test_a_restart_is_for_a_disarmed_vehicle_and_asked_for_once(world: World, client: Client) -> None:
     for action, end in ((1.0, RunEnd.AGAIN), (2.0, RunEnd.STOP)):
         client.ask(mav.MAVLink_command_long_message(1, 1, 246, 0, action, *(0.0,) * 6), "COMMAND_ACK", 0.1)
         assert world.vehicle.calls == [("end_run", end)]
@@ -103,9 +101,7 @@ def test_a_restart_is_for_a_disarmed_vehicle_and_asked_for_once() -> None:
     assert ack.result == mav.MAV_RESULT_DENIED and not world.vehicle.calls
 
 
-def test_parameters_go_back_to_their_defaults_on_the_ground_only() -> None:
-    world = World()
-    client = world.client()
+def test_parameters_go_back_to_their_defaults_on_the_ground_only(world: World, client: Client) -> None:
     world.params.set("SPD_CRUISE", 0.2)
     world.params.set("FS_SOLVER_N", 12)
     reset = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_PREFLIGHT_STORAGE, 0, 2.0, -1.0, -1.0, 0, 0, 0, 0)
@@ -145,8 +141,7 @@ def test_calibration_says_where_it_is_done() -> None:
 
 @pytest.mark.parametrize("result", [CommandResult.ACCEPTED, CommandResult.FAILED])
 @pytest.mark.parametrize("ticks", [5, 60, 250])
-def test_a_disarming_is_answered_when_it_has_happened(ticks: int, result: CommandResult) -> None:
-    world = World()
+def test_a_disarming_is_answered_when_it_has_happened(world: World, ticks: int, result: CommandResult) -> None:
     client, waiting = world.client(sysid=77, compid=88), CommandReply(result=CommandResult.IN_PROGRESS)
     world.vehicle.answers.update(disarm=waiting, disarmed=waiting)
     world.run(0.02)

@@ -18,16 +18,6 @@ PROFILES = ("generic", "px4", "ardusub")
 INT32_MAX = 0x7FFF_FFFF
 
 
-@pytest.fixture(name="world")
-def world_fixture() -> World:
-    return World()
-
-
-@pytest.fixture(name="client")
-def client_fixture(world: World) -> Client:
-    return world.client()
-
-
 H, M, RET, S = FlightMode.HOLD, FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE
 
 CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
@@ -419,9 +409,8 @@ def test_an_origin_without_an_altitude_keeps_that_of_the_old_one(world: World, c
     assert world.vehicle.calls == [("set_origin", kept)] * 2
 
 
-def test_origin_by_message_is_answered_with_the_new_one(world: World) -> None:
+def test_origin_by_message_is_answered_with_the_new_one(world: World, client: Client) -> None:
     """MAVSDK waits 0.5 s for GPS_GLOBAL_ORIGIN."""
-    client = world.client()
     world.run(0.1)
     client.rx.clear()
     client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), 3000))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mavlink_harness import NAN, World
+from mavlink_harness import NAN, Client, World
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
@@ -37,8 +37,7 @@ def taken(world: World, *messages: Any, wait_s: float = 0.0) -> tuple[ExternalPo
     return world.server.take_samples()
 
 
-def test_vision_position_estimate() -> None:
-    world = World()
+def test_vision_position_estimate(world: World) -> None:
     (sample,) = taken(world, vision(usec=1_950_000, reset=3), wait_s=2.0)
     assert sample.t_us == 1_950_000
     np.testing.assert_allclose(sample.pos_m, [1.0, -2.0, 0.5])
@@ -59,8 +58,7 @@ def test_odometry_with_unknown_covariance() -> None:
         assert (sample.frame, sample.reset_counter) == (ExternalFrame.FRD, 7)
 
 
-def test_stamps_of_another_clock_count_from_arrival() -> None:
-    world = World()
+def test_stamps_of_another_clock_count_from_arrival(world: World) -> None:
     world.params.set("EST_EXT_DELAY", 0.08)
     unix_us = 1_700_000_000_000_000
     (sample,) = taken(world, vision(usec=unix_us), wait_s=2.0)
@@ -74,8 +72,7 @@ def test_stamps_of_another_clock_count_from_arrival() -> None:
     assert sample.t_us == told_us - 30_000
 
 
-def test_what_is_not_used() -> None:
-    world = World()
+def test_what_is_not_used(world: World) -> None:
     listener = world.client()
     assert taken(world, odometry(mav.MAV_FRAME_LOCAL_ENU), odometry(mav.MAV_FRAME_LOCAL_ENU)) == ()
     assert taken(world, odometry(quality=-1)) == ()
@@ -91,10 +88,8 @@ def test_bad_numbers_are_passed_on_for_the_estimator_to_count() -> None:
     assert math.isnan(sample.pos_m[0]) and math.isnan(sample.yaw_rad)
 
 
-def test_health_and_test_ratios_are_shown() -> None:
+def test_health_and_test_ratios_are_shown(world: World, client: Client) -> None:
     """SYS_STATUS carries the estimator's error counts, ESTIMATOR_STATUS its test ratios."""
-    world = World()
-    client = world.client()
     world.show(
         aid_ratio={"markers": 0.5, "heading": 0.25, "velocity": 2.0, "laser": 0.125}, nav_errors=(1, 2, 3, 70_000)
     )
@@ -112,9 +107,8 @@ def test_health_and_test_ratios_are_shown() -> None:
     assert status.onboard_control_sensors_health & lost == 0
 
 
-def test_of_poses_that_come_at_once_with_stamps_of_nobody_the_last_is_of_now() -> None:
+def test_of_poses_that_come_at_once_with_stamps_of_nobody_the_last_is_of_now(world: World) -> None:
     """After a pause of the loop or of the network: the others are older, and nobody knows by how much."""
-    world = World()
     world.run(2.0)
     told = [mav.MAVLink_vision_position_estimate_message(0, x, 0.0, 0.5, 0.0, 0.0, 0.0, TRIANGLE, 0) for x in (1, 2, 3)]
     (sample,) = taken(world, *told)

@@ -101,8 +101,7 @@ def test_random_bytes_change_nothing(datagrams: list[bytes]) -> None:
     assert answer.seq == 2
 
 
-def test_a_flood_of_clients_does_not_grow_the_server() -> None:
-    world = World()
+def test_a_flood_of_clients_does_not_grow_the_server(world: World) -> None:
     sender = mav.MAVLink(None)
     frames = []
     for sysid in range(2, 250):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mavlink_harness import World, nav_state
+from mavlink_harness import Client, World, nav_state
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Event, Failsafe, NavHealth, Severity
@@ -37,10 +37,8 @@ def test_a_quiet_link_says_one_message_every_five_seconds_and_the_others_go_on()
     assert "HEARTBEAT" in heard and heard.count("ATTITUDE") >= 29 and "HIGH_LATENCY2" not in heard
 
 
-def test_rates_that_are_asked_for_on_a_quiet_link_begin_when_it_is_no_longer_one() -> None:
+def test_rates_that_are_asked_for_on_a_quiet_link_begin_when_it_is_no_longer_one(world: World, client: Client) -> None:
     """Ground stations ask for them whenever they connect."""
-    world = World()
-    client = world.client()
     world.run(3.0)
     assert client.command(CONTROL, 1) == 0
     client.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_ALL, 20, 1))
@@ -52,9 +50,7 @@ def test_rates_that_are_asked_for_on_a_quiet_link_begin_when_it_is_no_longer_one
     assert heard.count("ATTITUDE") >= 149 and heard.count("VFR_HUD") >= 59
 
 
-def test_what_is_asked_for_on_a_quiet_link_is_answered() -> None:
-    world = World()
-    client = world.client()
+def test_what_is_asked_for_on_a_quiet_link_is_answered(world: World, client: Client) -> None:
     world.run(3.0)
     assert client.command(CONTROL, 1) == 0
     client.rx.clear()
@@ -71,9 +67,7 @@ def test_what_is_asked_for_on_a_quiet_link_is_answered() -> None:
     assert kinds(client, world, 10.0).count("HIGH_LATENCY2") == 10
 
 
-def test_of_texts_only_those_of_failsafes_go_there() -> None:
-    world = World()
-    client = world.client()
+def test_of_texts_only_those_of_failsafes_go_there(world: World, client: Client) -> None:
     world.run(3.0)
     assert client.command(CONTROL, 1) == 0
     client.rx.clear()
@@ -83,8 +77,7 @@ def test_of_texts_only_those_of_failsafes_go_there() -> None:
     assert client.texts() == "Failsafe SURFACE" and not client.got("MISSION_ITEM_REACHED")
 
 
-def test_a_link_that_others_use_is_not_made_silent() -> None:
-    world = World()
+def test_a_link_that_others_use_is_not_made_silent(world: World) -> None:
     one, two = world.client(number=1), world.client(number=2, sysid=254)
     two.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     world.run(1.0)
@@ -98,9 +91,7 @@ def test_a_link_that_others_use_is_not_made_silent() -> None:
 
 
 @pytest.mark.parametrize("wrong", [2.0, -1.0, 0.5, math.nan])
-def test_other_values_are_invalid(wrong: float) -> None:
-    world = World()
-    client = world.client()
+def test_other_values_are_invalid(world: World, client: Client, wrong: float) -> None:
     assert client.command(CONTROL, wrong) == 2
     assert "HEARTBEAT" in kinds(client, world, 1.1)
 
@@ -123,9 +114,7 @@ def test_its_fields(profile: str, mode: int) -> None:
     assert told.throttle == 42 and told.climb_rate == 1 and told.failure_flags == 0
 
 
-def test_what_is_wrong_is_told_and_the_fastest_climb_until_then() -> None:
-    world = World()
-    client = world.client()
+def test_what_is_wrong_is_told_and_the_fastest_climb_until_then(world: World, client: Client) -> None:
     world.show(nav=nav_state(vel_frd_m_s=np.array([0.0, 0.0, -0.9])))
     world.run(0.5)
     world.show(nav=nav_state(health=NavHealth.INVALID), failsafes=1 << Failsafe.CAGE_HARD | 1 << Failsafe.BATTERY)
@@ -137,9 +126,7 @@ def test_what_is_wrong_is_told_and_the_fastest_climb_until_then() -> None:
     assert told.climb_rate == 9 and (told.latitude, told.longitude, told.eph) == (0, 0, 255)
 
 
-def test_flight_information_from_arming_to_disarming() -> None:
-    world = World()
-    client = world.client()
+def test_flight_information_from_arming_to_disarming(world: World, client: Client) -> None:
     world.show(armed=False, under_way=False)
     world.run(1.0)
 

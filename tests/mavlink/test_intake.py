@@ -66,9 +66,8 @@ def test_a_flood_is_throttled_and_named_and_others_are_served_at_once(kind: str,
     assert any("bytes dropped" in event.text for event in world.server.take_notices())
 
 
-def test_what_is_not_for_us_is_passed_over_at_little_cost() -> None:
+def test_what_is_not_for_us_is_passed_over_at_little_cost(world: World) -> None:
     """A router's whole traffic on our port: 200 kB/s of other vehicles' telemetry."""
-    world = World()
     client = world.client(number=QUIET)
     traffic = b"".join(packed(mav.MAVLink_attitude_message(n, 0, 0, 0, 0, 0, 0)) for n in range(50))
     for n in range(100):
@@ -131,8 +130,7 @@ def test_work_in_portions_finds_what_work_at_once_finds(seed: int, portion: int)
     assert (parts.dropped, parts.received) == (whole.dropped, whole.received)
 
 
-def test_the_memory_for_clients_is_bounded() -> None:
-    world = World()
+def test_the_memory_for_clients_is_bounded(world: World) -> None:
     frames = [MavlinkFrame(link=0, client=n, data=b"\xfd\x20\x00") for n in range(10 * MAX_INBOXES)]
     world.server.step(TICK_US, frames, world.view)
     assert len(world.server._intake._inboxes) <= MAX_INBOXES
@@ -170,16 +168,14 @@ def transfer(world: World, client: Client, items: list) -> int:
     raise AssertionError("no answer")
 
 
-def test_items_are_taken_between_ticks() -> None:
-    world = World()
+def test_items_are_taken_between_ticks(world: World) -> None:
     client = world.client(number=1)
     items = [waypoint(n) for n in range(500)]
     assert transfer(world, client, items) <= 50
     assert len(world.plans.items(PlanKind.MISSION)) == 500
 
 
-def test_a_download_goes_on_between_ticks() -> None:
-    world = World()
+def test_a_download_goes_on_between_ticks(world: World) -> None:
     client = world.client(number=1)
     assert upload(client, [waypoint(n) for n in range(30)]) == 0
     client.on_message = None
@@ -192,8 +188,7 @@ def test_a_download_goes_on_between_ticks() -> None:
     assert [m.seq for m in client.got("MISSION_ITEM_INT")] == list(range(10))
 
 
-def test_between_ticks_nothing_in_force_changes() -> None:
-    world = World()
+def test_between_ticks_nothing_in_force_changes(world: World) -> None:
     client = world.client(number=1)
     client.send(mav.MAVLink_mission_count_message(1, 1, 1, 0))
     served(world, client)
@@ -206,8 +201,7 @@ def test_between_ticks_nothing_in_force_changes() -> None:
     assert [call[0] for call in world.vehicle.calls] == ["arm"]
 
 
-def test_the_order_of_a_client_is_kept_and_others_pass() -> None:
-    world = World()
+def test_the_order_of_a_client_is_kept_and_others_pass(world: World) -> None:
     one, two = world.client(number=1, sysid=101), world.client(number=2, sysid=102)
     world.tick()
     one.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, mav.MAV_PARAM_TYPE_REAL32))
@@ -237,8 +231,7 @@ def test_a_heartbeat_beside_the_ticks_changes_nothing() -> None:
 # Clients that share a port
 
 
-def test_two_clients_with_the_same_ids_do_not_mix() -> None:
-    world = World()
+def test_two_clients_with_the_same_ids_do_not_mix(world: World) -> None:
     first, second = world.client(number=1, sysid=245), world.client(number=2, sysid=245)
     plans = {first: [waypoint(n) for n in range(40)], second: [waypoint(n, x=379_756_000 + n) for n in range(40)]}
     for client, items in plans.items():
@@ -259,8 +252,7 @@ def test_two_clients_with_the_same_ids_do_not_mix() -> None:
     assert upload(second, plans[second]) == MissionResult.ACCEPTED
 
 
-def test_answers_go_to_who_asked() -> None:
-    world = World()
+def test_answers_go_to_who_asked(world: World) -> None:
     one, two = world.client(number=1, sysid=245), world.client(number=2, sysid=245)
     world.tick()
     one.send(mav.MAVLink_param_request_list_message(1, 1))
@@ -273,8 +265,7 @@ def test_answers_go_to_who_asked() -> None:
         assert one.got(name) and not two.got(name), name
 
 
-def test_a_client_that_comes_back_on_another_port_is_not_locked_out() -> None:
-    world = World()
+def test_a_client_that_comes_back_on_another_port_is_not_locked_out(world: World) -> None:
     before = world.client(number=1, sysid=245)
     before.send(mav.MAVLink_mission_count_message(1, 1, 20, 0))
     world.run(0.5)
@@ -284,9 +275,8 @@ def test_a_client_that_comes_back_on_another_port_is_not_locked_out() -> None:
 
 
 @pytest.mark.parametrize("told", ["a text each", "a datagram each"])
-def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(told: str) -> None:
+def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(world: World, told: str) -> None:
     """Neither the texts that it is told nor the marks of what it sends pile up, and a tick costs what it did."""
-    world = World()
     client = world.client(number=QUIET)
     context, missions = world.server._ctx, world.server.missions
     for n in range(3 * MAX_RECENT):

@@ -27,11 +27,6 @@ R = MissionResult
 MOST = MAX_ITEMS[PlanKind.MISSION]
 
 
-@pytest.fixture(name="world")
-def world_fixture() -> World:
-    return World()
-
-
 def plan(count: int, kind: int = 0, north: int = 0) -> list:
     return [waypoint(n, kind, x=379_755_000 + north + 10 * n) for n in range(count)]
 
@@ -44,8 +39,7 @@ def count(n: int, kind: int = 0) -> object:
 
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
-def test_what_is_uploaded_comes_back(world: World, kind: int) -> None:
-    client = world.client()
+def test_what_is_uploaded_comes_back(world: World, client: Client, kind: int) -> None:
     items = plan(12, kind)
     assert upload(client, items, kind) == R.ACCEPTED
     back = download(client, kind)
@@ -54,31 +48,27 @@ def test_what_is_uploaded_comes_back(world: World, kind: int) -> None:
     assert all(world.plans.items(k) == () for k in others)
 
 
-def test_empty_plans_download_as_count_zero(world: World) -> None:
-    client = world.client()
+def test_empty_plans_download_as_count_zero(client: Client) -> None:
     for kind in (0, 1, 2):
         (answer,) = client.ask(mav.MAVLink_mission_request_list_message(1, 1, kind), "MISSION_COUNT", 0.1)
         assert (answer.count, answer.mission_type) == (0, kind)
         assert (answer.target_system, answer.target_component) == (255, 190)
 
 
-def test_requests_come_one_at_a_time_and_the_answer_at_once(world: World) -> None:
-    client = world.client()
+def test_requests_come_one_at_a_time_and_the_answer_at_once(client: Client) -> None:
     uploader = Uploader(client, plan(20))
     assert uploader.run(0.4) == R.ACCEPTED
     assert uploader.requests == list(range(20))
     assert uploader.results == [R.ACCEPTED]
 
 
-def test_float_requests_are_answered_with_int_items(world: World) -> None:
-    client = world.client()
+def test_float_requests_are_answered_with_int_items(client: Client) -> None:
     upload(client, plan(3))
     (item,) = client.ask(mav.MAVLink_mission_request_message(1, 1, 2, 0), "MISSION_ITEM_INT", 0.1)
     assert item.seq == 2 and item.x == plan(3)[2].x
 
 
-def test_the_current_item_is_marked(world: World) -> None:
-    client = world.client()
+def test_the_current_item_is_marked(world: World, client: Client) -> None:
     upload(client, plan(4))
     back = download(client)
     assert back is not None and [m.current for m in back] == [0, 1, 0, 0]
@@ -87,16 +77,14 @@ def test_the_current_item_is_marked(world: World) -> None:
     assert back is not None and [m.current for m in back] == [0, 0, 0, 1]
 
 
-def test_count_zero_and_clear_all_empty_a_plan(world: World) -> None:
-    client = world.client()
+def test_count_zero_and_clear_all_empty_a_plan(world: World, client: Client) -> None:
     for clear in (count(0), mav.MAVLink_mission_clear_all_message(1, 1, 0)):
         upload(client, plan(3))
         (ack,) = client.ask(clear, "MISSION_ACK", 0.1)
         assert ack.type == R.ACCEPTED and world.plans.items(PlanKind.MISSION) == ()
 
 
-def test_clear_all_types(world: World) -> None:
-    client = world.client()
+def test_clear_all_types(world: World, client: Client) -> None:
     for kind in (0, 1, 2):
         upload(client, plan(2, kind), kind)
     (ack,) = client.ask(mav.MAVLink_mission_clear_all_message(1, 1, 255), "MISSION_ACK", 0.1)
@@ -105,8 +93,7 @@ def test_clear_all_types(world: World) -> None:
 
 
 @pytest.mark.parametrize("mission_type", [3, 7, 255])
-def test_unknown_plan_types_are_unsupported(world: World, mission_type: int) -> None:
-    client = world.client()
+def test_unknown_plan_types_are_unsupported(world: World, client: Client, mission_type: int) -> None:
     asked = [
         count(2, mission_type),
         mav.MAVLink_mission_request_list_message(1, 1, mission_type),
@@ -123,8 +110,7 @@ def test_unknown_plan_types_are_unsupported(world: World, mission_type: int) -> 
 # Refusals leave the plan in force
 
 
-def test_an_upload_changes_nothing_until_the_last_item(world: World) -> None:
-    client = world.client()
+def test_an_upload_changes_nothing_until_the_last_item(world: World, client: Client) -> None:
     upload(client, plan(5))
     before = world.plans.items(PlanKind.MISSION)
     uploader = Uploader(client, [*plan(7, north=5000), None])
@@ -152,8 +138,7 @@ def test_a_bad_item_ends_the_upload_with_its_reason(world: World, change: dict, 
     assert upload(client, plan(6, north=9000)) == R.ACCEPTED
 
 
-def test_a_refused_plan_is_explained(world: World) -> None:
-    client = world.client()
+def test_a_refused_plan_is_explained(world: World, client: Client) -> None:
     upload(client, plan(5))
     reason = "item 1 is 0.12 m from the fence, needs 0.33 m: move it away from the cylinder in the middle of the tank"
     world.plans.veto = PlanRejection(seq=1, result=R.INVALID_PARAM6_Y, reason=reason)
@@ -166,8 +151,7 @@ def test_a_refused_plan_is_explained(world: World) -> None:
     assert ack.type == R.INVALID_PARAM6_Y and len(world.plans.items(PlanKind.MISSION)) == 5
 
 
-def test_too_many_items_are_refused_at_once(world: World) -> None:
-    client = world.client()
+def test_too_many_items_are_refused_at_once(world: World, client: Client) -> None:
     upload(client, plan(2))
     (ack,) = client.ask(count(MOST + 2), "MISSION_ACK", 0.1)
     assert ack.type == R.NO_SPACE
@@ -175,14 +159,12 @@ def test_too_many_items_are_refused_at_once(world: World) -> None:
     assert not client.got("MISSION_REQUEST_INT") and len(world.plans.items(PlanKind.MISSION)) == 2
 
 
-def test_a_plan_of_the_greatest_size(world: World) -> None:
-    client = world.client()
+def test_a_plan_of_the_greatest_size(world: World, client: Client) -> None:
     assert upload(client, plan(MOST)) == R.ACCEPTED
     assert len(world.plans.items(PlanKind.MISSION)) == MOST
 
 
-def test_float_items_are_refused_as_too_coarse(world: World) -> None:
-    client = world.client()
+def test_float_items_are_refused_as_too_coarse(world: World, client: Client) -> None:
     upload(client, plan(2))
     client.send(count(2))
     world.run(0.05)
@@ -216,8 +198,7 @@ def test_an_item_that_is_a_go_to(profile: str) -> None:
     assert go_to() == R.DENIED and "arm first" in client.texts()
 
 
-def test_partial_lists_are_unsupported(world: World) -> None:
-    client = world.client()
+def test_partial_lists_are_unsupported(world: World, client: Client) -> None:
     upload(client, plan(3))
     for message in (mav.MAVLink_mission_write_partial_list_message, mav.MAVLink_mission_request_partial_list_message):
         (ack,) = client.ask(message(1, 1, 0, 1, 0), "MISSION_ACK", 0.1)
@@ -227,8 +208,7 @@ def test_partial_lists_are_unsupported(world: World) -> None:
 # Sequence, repetition, time
 
 
-def test_a_missing_item_is_asked_for_again_and_then_given_up(world: World) -> None:
-    client = world.client()
+def test_a_missing_item_is_asked_for_again_and_then_given_up(world: World, client: Client) -> None:
     upload(client, plan(2))
     items = plan(4, north=700)
     client.rx.clear()
@@ -243,8 +223,7 @@ def test_a_missing_item_is_asked_for_again_and_then_given_up(world: World) -> No
     assert len(world.plans.items(PlanKind.MISSION)) == 2 and not world.server.uploading
 
 
-def test_silence_ends_an_upload_after_eight_seconds(world: World) -> None:
-    client = world.client()
+def test_silence_ends_an_upload_after_eight_seconds(world: World, client: Client) -> None:
     client.send(count(3))
     world.run(7.9)
     assert world.server.uploading and not client.got("MISSION_ACK")
@@ -262,8 +241,7 @@ def test_patience_stretches_the_times_of_a_fast_simulation() -> None:
     assert 6 <= len(client.got("MISSION_REQUEST_INT")) <= 8
 
 
-def test_items_out_of_turn_are_dropped_and_the_due_one_asked_for(world: World) -> None:
-    client = world.client()
+def test_items_out_of_turn_are_dropped_and_the_due_one_asked_for(world: World, client: Client) -> None:
     items = plan(4)
     client.send(count(4))
     world.run(0.02)
@@ -284,8 +262,7 @@ def test_items_out_of_turn_are_dropped_and_the_due_one_asked_for(world: World) -
     assert [i.x for i in world.plans.items(PlanKind.MISSION)] == [m.x for m in items]
 
 
-def test_a_client_that_never_listens_is_given_up(world: World) -> None:
-    client = world.client()
+def test_a_client_that_never_listens_is_given_up(world: World, client: Client) -> None:
     client.send(count(3))
     for _ in range(40):
         client.send(waypoint(2))
@@ -294,8 +271,7 @@ def test_a_client_that_never_listens_is_given_up(world: World) -> None:
     assert ack.type == R.INVALID_SEQUENCE and not world.server.uploading
 
 
-def test_the_last_item_again_gets_the_answer_again(world: World) -> None:
-    client = world.client()
+def test_the_last_item_again_gets_the_answer_again(world: World, client: Client) -> None:
     items = plan(3)
     assert upload(client, items) == R.ACCEPTED
     client.rx.clear()
@@ -308,8 +284,7 @@ def test_the_last_item_again_gets_the_answer_again(world: World) -> None:
     assert len(world.plans.replaced) == 1
 
 
-def test_unsolicited_items_are_errors(world: World) -> None:
-    client = world.client()
+def test_unsolicited_items_are_errors(world: World, client: Client) -> None:
     upload(client, plan(2))
     world.run(6.0)
     (ack,) = client.ask(waypoint(1), "MISSION_ACK", 0.1)
@@ -327,15 +302,13 @@ def test_who_takes_control_uploads_at_once_and_ends_the_upload_of_another(world:
     assert upload(owner, plan(2), seconds=1.0) == R.ACCEPTED
 
 
-def test_requests_out_of_range_are_invalid_sequences(world: World) -> None:
-    client = world.client()
+def test_requests_out_of_range_are_invalid_sequences(client: Client) -> None:
     upload(client, plan(2))
     (ack,) = client.ask(mav.MAVLink_mission_request_int_message(1, 1, 2, 0), "MISSION_ACK", 0.1)
     assert ack.type == R.INVALID_SEQUENCE
 
 
-def test_the_client_can_cancel(world: World) -> None:
-    client = world.client()
+def test_the_client_can_cancel(world: World, client: Client) -> None:
     upload(client, plan(2))
     client.send(count(4))
     world.run(0.05)
@@ -346,8 +319,7 @@ def test_the_client_can_cancel(world: World) -> None:
     assert not world.server.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
 
 
-def test_a_duplicate_of_the_count_does_not_restart(world: World) -> None:
-    client = world.client()
+def test_a_duplicate_of_the_count_does_not_restart(world: World, client: Client) -> None:
     data = client.send(count(3))
     world.run(0.02)
     client.send(waypoint(0))
@@ -361,8 +333,7 @@ def test_a_duplicate_of_the_count_does_not_restart(world: World) -> None:
     assert client.got("MISSION_ACK")[0].type == R.ACCEPTED
 
 
-def test_the_same_client_starting_anew_replaces_its_own_upload(world: World) -> None:
-    client = world.client()
+def test_the_same_client_starting_anew_replaces_its_own_upload(world: World, client: Client) -> None:
     client.send(count(3))
     world.run(0.02)
     client.send(waypoint(0, x=111))
@@ -373,8 +344,7 @@ def test_the_same_client_starting_anew_replaces_its_own_upload(world: World) -> 
     assert back is not None and same_items(items, back)
 
 
-def test_another_plan_type_of_the_same_client_replaces_its_upload(world: World) -> None:
-    client = world.client()
+def test_another_plan_type_of_the_same_client_replaces_its_upload(world: World, client: Client) -> None:
     client.send(count(3))
     world.run(0.02)
     fence = plan(2, 1)
@@ -444,8 +414,7 @@ def lossy(seed: int) -> dict[str, Lossy]:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_transfers_survive_loss_duplication_and_reordering(seed: int) -> None:
-    world = World()
+def test_transfers_survive_loss_duplication_and_reordering(world: World, seed: int) -> None:
     client = world.client(**lossy(seed))
     first, second, fence = plan(15), plan(9, north=3000), plan(6, 1)
     assert lossy_upload(client, first) == R.ACCEPTED
@@ -474,8 +443,7 @@ def lossy_upload(client: Client, items: list, kind: int = 0) -> int | None:
 # Progress
 
 
-def test_current_item_is_streamed_and_told_on_change(world: World) -> None:
-    client = world.client()
+def test_current_item_is_streamed_and_told_on_change(world: World, client: Client) -> None:
     upload(client, plan(4))
     client.rx.clear()
     world.run(5.0)
@@ -489,8 +457,7 @@ def test_current_item_is_streamed_and_told_on_change(world: World) -> None:
     assert (change.seq, change.mission_state) == (2, 4)
 
 
-def test_no_mission_is_said_so(world: World) -> None:
-    client = world.client()
+def test_no_mission_is_said_so(world: World, client: Client) -> None:
     world.show(progress=None)
     world.run(1.2)
     last = client.got("MISSION_CURRENT")[-1]
@@ -506,8 +473,7 @@ def test_items_reached_are_told_once_on_every_link() -> None:
         assert [m.seq for m in client.got("MISSION_ITEM_REACHED")] == [0, 1]
 
 
-def test_set_current_by_message(world: World) -> None:
-    client = world.client()
+def test_set_current_by_message(world: World, client: Client) -> None:
     upload(client, plan(4))
     client.rx.clear()
     client.send(mav.MAVLink_mission_set_current_message(1, 1, 3))
@@ -518,8 +484,7 @@ def test_set_current_by_message(world: World) -> None:
     assert client.got("MISSION_CURRENT")[-1].seq == 3
 
 
-def test_set_current_to_the_same_item_is_answered_too(world: World) -> None:
-    client = world.client()
+def test_set_current_to_the_same_item_is_answered_too(world: World, client: Client) -> None:
     upload(client, plan(4))
     world.run(0.05)
     client.rx.clear()
@@ -598,8 +563,7 @@ def test_a_plan_is_called_accepted_when_it_is_on_disk(world: World) -> None:
     assert uploader.run(0.5) == R.ACCEPTED
 
 
-def test_a_disk_that_does_not_answer_is_spoken_of(world: World) -> None:
-    client = world.client()
+def test_a_disk_that_does_not_answer_is_spoken_of(world: World, client: Client) -> None:
     world.plans.kept = False
     assert upload(client, plan(3)) == R.ACCEPTED
     assert "Plan in force, not on disk yet" in client.texts()
@@ -660,9 +624,8 @@ def test_a_plan_in_force_that_the_disk_has_not_got_is_told_of_when_its_client_go
     assert "Mission plan accepted: 2 items" in client.texts()
 
 
-def test_a_client_hears_of_a_check_that_takes_longer_than_it_waits(world: World) -> None:
+def test_a_client_hears_of_a_check_that_takes_longer_than_it_waits(world: World, client: Client) -> None:
     """QGroundControl and MAVSDK give up 1.5 s after the last thing they heard of an upload."""
-    client = world.client()
     world.plans.slow = True
     uploader = Uploader(client, plan(3))
     assert uploader.run(3.0) is None

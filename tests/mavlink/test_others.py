@@ -34,8 +34,7 @@ def position(north: float, east: float, down: float, *, vx: int = 0, vy: int = 0
     return mav.MAVLink_global_position_int_message(0, lat, lon, alt, round(-1e3 * down), vx, vy, 0, 0)
 
 
-def test_other_vehicles_are_tracks_where_they_are() -> None:
-    world = World()
+def test_other_vehicles_are_tracks_where_they_are(world: World) -> None:
     (track,) = seen(world, position(1.0, 0.5, 0.3, vx=30, vy=-10))
     assert track.pos_ned_m == pytest.approx([1.0, 0.5], abs=0.012)
     assert track.vel_ned_m_s == pytest.approx([0.3, -0.1])
@@ -61,8 +60,7 @@ def test_what_is_no_concern_is_no_track(message: Any, client: dict[str, int]) ->
     assert seen(World(), message, **client) == []
 
 
-def test_avoiding_others_can_be_turned_off_and_waits_for_a_position() -> None:
-    world = World()
+def test_avoiding_others_can_be_turned_off_and_waits_for_a_position(world: World) -> None:
     world.show(nav=None)
     assert seen(world, position(1.0, 0.5, 0.3)) == []
     world.show(nav=nav_state())
@@ -89,8 +87,7 @@ def adsb(place: Any, **changes: Any) -> Any:
     return mav.MAVLink_adsb_vehicle_message(**{**values, **changes})
 
 
-def test_adsb_and_ais_are_tracks_too() -> None:
-    world = World()
+def test_adsb_and_ais_are_tracks_too(world: World) -> None:
     world.run(3.0)
     (track,) = seen(world, adsb(position(1.0, 0.5, 0.3)))
     assert track.vel_ned_m_s == pytest.approx([0.0, 0.4], abs=1e-9) and track.t_us == world.t_us - 1_000_000
@@ -119,8 +116,7 @@ def beams(center: tuple[float, float], radius_m: float, *, frame: int, yaw: floa
 
 
 @pytest.mark.parametrize("frame", [mav.MAV_FRAME_BODY_FRD, mav.MAV_FRAME_GLOBAL])
-def test_beams_become_cylinders_until_a_beam_goes_through(frame: int) -> None:
-    world = World()
+def test_beams_become_cylinders_until_a_beam_goes_through(world: World, frame: int) -> None:
     yaw = math.pi / 2
     (track,) = seen(world, beams((0.4, 0.3), 0.3, frame=frame, yaw=yaw))
     assert math.hypot(track.pos_ned_m[0] - 0.4, track.pos_ned_m[1] - 0.3) < 0.35

@@ -40,8 +40,7 @@ def set_param(client: Client, name: str, value: float, wire_type: int = REAL32) 
     return client.ask(mav.MAVLink_param_set_message(1, 1, name.encode(), wire, wire_type), "PARAM_VALUE", 0.05)
 
 
-def test_the_list_is_complete_typed_and_stable(world: World) -> None:
-    client = world.client()
+def test_the_list_is_complete_typed_and_stable(world: World, client: Client) -> None:
     for _ in range(2):
         got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
         stubs = STUBS.get(world.server._ctx.profile.name, {})
@@ -126,8 +125,7 @@ def test_parameters_that_show_a_button(profile: str, speed: str, shown: float, n
         assert from_wire(world, read[0]) == pytest.approx(value)
 
 
-def test_parameters_longer_than_32_bits_are_refused_in_words(world: World) -> None:
-    client = world.client()
+def test_parameters_longer_than_32_bits_are_refused_in_words(world: World, client: Client) -> None:
     client.send(mav.MAVLink_param_ext_request_list_message(1, 1))
     world.run(0.1)
     assert "PARAM_EXT is not served: use PARAM_REQUEST_LIST" in client.texts()
@@ -155,8 +153,7 @@ def test_every_action_of_a_failsafe_has_a_number_that_is_explained() -> None:
             assert stub.value(params, VehicleFacts()) in stub.spec.values, (name, ours, choice)
 
 
-def test_a_client_that_has_the_list_need_not_load_it(world: World) -> None:
-    client = world.client()
+def test_a_client_that_has_the_list_need_not_load_it(world: World, client: Client) -> None:
     got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
     crc = 0  # as QGroundControl sums its own list up
     for m in sorted(got, key=lambda m: m.param_id):
@@ -194,15 +191,13 @@ def test_an_origin_is_kept_to_its_last_digit(name: str, e7: int, twice: bool) ->
 ORIGIN_WORLDS = {False: World("px4"), True: World("ardusub")}
 
 
-def test_the_list_is_throttled(world: World) -> None:
-    client = world.client()
+def test_the_list_is_throttled(world: World, client: Client) -> None:
     client.send(mav.MAVLink_param_request_list_message(1, 1))
     world.tick()
     assert 1 <= len(client.got("PARAM_VALUE")) <= 6
 
 
-def test_reading_by_name_and_by_index(world: World) -> None:
-    client = world.client()
+def test_reading_by_name_and_by_index(client: Client) -> None:
     by_name = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"SPD_CRUISE", -1), "PARAM_VALUE", 0.05)
     assert len(by_name) == 1 and by_name[0].param_value == pytest.approx(0.35)
     index = by_name[0].param_index
@@ -219,8 +214,7 @@ def test_a_name_of_sixteen_characters_needs_no_end(world: World) -> None:
 
 
 @pytest.mark.parametrize(("name", "index"), [(b"NO_SUCH", -1), (b"", 9999), (b"", -7), (b"\xff\xfe", -1)])
-def test_reading_what_does_not_exist(world: World, name: bytes, index: int) -> None:
-    client = world.client()
+def test_reading_what_does_not_exist(client: Client, name: bytes, index: int) -> None:
     (error,) = client.ask(mav.MAVLink_param_request_read_message(1, 1, name, index), "PARAM_ERROR", 0.05)
     assert error.error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
     assert (error.target_system, error.target_component) == (255, 190)
@@ -277,8 +271,7 @@ def test_a_disk_that_does_not_answer_is_spoken_of_once() -> None:
     assert client.texts().count("SPD_CRUISE in force, not on disk yet") == 1
 
 
-def test_integers_travel_as_the_profile_says(world: World) -> None:
-    client = world.client()
+def test_integers_travel_as_the_profile_says(world: World, client: Client) -> None:
     (value,) = set_param(client, "FS_SOLVER_N", 77, INT32)
     assert world.params["FS_SOLVER_N"] == 77.0
     assert from_wire(world, value) == 77
@@ -305,8 +298,7 @@ def test_a_refusal_says_the_value_in_force_and_why(world: World, name: str, valu
     assert name in client.texts()
 
 
-def test_setting_what_does_not_exist(world: World) -> None:
-    client = world.client()
+def test_setting_what_does_not_exist(client: Client) -> None:
     assert set_param(client, "NO_SUCH", 1.0) == []
     assert client.got("PARAM_ERROR")[0].error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
     assert "There is no parameter NO_SUCH" in client.texts(), "MAVLink 1 has no PARAM_ERROR"

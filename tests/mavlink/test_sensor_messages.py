@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mavlink_harness import NAN, World, mav, nav_state
+from mavlink_harness import NAN, Client, World, mav, nav_state
 
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, HullSample, LaserSample
@@ -124,8 +124,7 @@ def test_vibration_is_what_shakes_and_not_what_moves() -> None:
     assert shaken.rms_m_s2 == before
 
 
-def test_default_telemetry_fits_half_a_slow_serial_line(world: World) -> None:
-    client = world.client()
+def test_default_telemetry_fits_half_a_slow_serial_line(world: World, client: Client) -> None:
     world.run(10.0)
     sent = 0
     for _ in range(1000):

@@ -86,8 +86,7 @@ def calls(world: World) -> list[str]:
     return [call[0] for call in world.vehicle.calls]
 
 
-def test_without_a_key_unsigned_frames_are_obeyed_and_signed_ones_are_of_a_stranger() -> None:
-    world = World()
+def test_without_a_key_unsigned_frames_are_obeyed_and_signed_ones_are_of_a_stranger(world: World) -> None:
     Remote(world, None).disarm()
     assert calls(world) == ["disarm"]
     stranger = Remote(world, OTHER, sysid=66)
@@ -356,8 +355,7 @@ def test_a_key_is_taken_from_this_machine_only_and_only_disarmed() -> None:
     assert calls(world)[-1] == "disarm" and len(calls(world)) == 3
 
 
-def test_a_key_never_stands_in_a_description() -> None:
-    world = World()
+def test_a_key_never_stands_in_a_description(world: World) -> None:
     data = Remote(world, None).pack(setup())
     for frame in (MavlinkFrame(link=0, data=data), MavlinkFrame(link=0, data=b"\xfd\x03junk" + data + data)):
         assert "signing key" in repr(frame) and repr(KEY)[2:20] not in repr(frame)
@@ -511,8 +509,7 @@ def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others() -> None:
 # Operator control
 
 
-def test_while_an_operator_has_control_nobody_else_changes_anything() -> None:
-    world = World()
+def test_while_an_operator_has_control_nobody_else_changes_anything(world: World) -> None:
     owner, other = world.client(number=1, sysid=255), world.client(number=2, sysid=66)
     beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
     assert other.command(400, *DISARM) == 0
@@ -560,8 +557,7 @@ def test_while_an_operator_has_control_nobody_else_changes_anything() -> None:
     assert owner.command(400, *DISARM) == 0
 
 
-def test_an_operator_who_is_gone_is_not_in_control() -> None:
-    world = World()
+def test_an_operator_who_is_gone_is_not_in_control(world: World) -> None:
     owner, other = world.client(number=1, sysid=255), world.client(number=2, sysid=66)
     assert owner.command(32100, 1.0) == 0
     assert other.command(300) == 10

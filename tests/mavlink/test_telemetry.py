@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
+from mavlink_harness import NAN, ORIGIN, Client, World, base_view, mav, nav_state
 
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.errors import ConfigError
@@ -21,11 +21,6 @@ from autopilot.mavlink.server import MavlinkServer
 from autopilot.mavlink.status import version_number
 
 PROFILES = ("generic", "px4", "ardusub")
-
-
-@pytest.fixture(name="world")
-def world_fixture() -> World:
-    return World()
 
 
 def one(world: World, name: str) -> object:
@@ -106,8 +101,7 @@ def test_every_client_is_told_the_true_name_once() -> None:
         assert client.texts() == "Underwater Autopilot 0.1.0, px4 profile, not PX4"
 
 
-def test_the_ground_stations_heartbeat_is_noted(world: World) -> None:
-    client = world.client()
+def test_the_ground_stations_heartbeat_is_noted(world: World, client: Client) -> None:
     client.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, 12, 0, 0, 4, 3))
     world.tick()
     assert world.server.last_gcs_t_us is None
@@ -174,9 +168,8 @@ def test_rates_are_set_per_link() -> None:
     assert len(fast.got("LOCAL_POSITION_NED")) == 20 and not other.got("LOCAL_POSITION_NED")
 
 
-def test_all_streams_at_once_leave_slow_ones_alone(world: World) -> None:
+def test_all_streams_at_once_leave_slow_ones_alone(world: World, client: Client) -> None:
     """MAVProxy asks for ALL at 4 Hz every 15 s."""
-    client = world.client()
     client.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_ALL, 4, 1))
     world.run(0.5)
     client.rx.clear()
@@ -185,8 +178,7 @@ def test_all_streams_at_once_leave_slow_ones_alone(world: World) -> None:
     assert len(client.got("SYS_STATUS")) == 4 and len(client.got("HOME_POSITION")) == 2
 
 
-def test_the_raw_sensors_are_a_group_too(world: World) -> None:
-    client = world.client()
+def test_the_raw_sensors_are_a_group_too(world: World, client: Client) -> None:
     client.send(mav.MAVLink_request_data_stream_message(1, 1, mav.MAV_DATA_STREAM_RAW_SENSORS, 20, 1))
     world.run(0.5)
     for name in ("RAW_IMU", "SCALED_IMU", "SCALED_PRESSURE", "SCALED_PRESSURE2"):
@@ -212,8 +204,7 @@ def test_a_link_that_opens_or_closes(world: World) -> None:
     assert client.got("HEARTBEAT")
 
 
-def test_the_live_margin_is_sent_while_controlled(world: World) -> None:
-    client = world.client()
+def test_the_live_margin_is_sent_while_controlled(world: World, client: Client) -> None:
     world.run(3.0)
     assert not client.got("DEBUG_VECT"), "nothing is controlled yet"
     world.view = base_view(
@@ -236,8 +227,7 @@ def test_the_live_margin_is_sent_while_controlled(world: World) -> None:
     assert (sent[-1].name, sent[-1].x, sent[-1].y, sent[-1].z) == ("margin", 0.25, 0.0625, 0.5)
 
 
-def test_position_and_velocity(world: World) -> None:
-    client = world.client()
+def test_position_and_velocity(world: World, client: Client) -> None:
     world.run(2.0)
     local, globe = client.got("LOCAL_POSITION_NED")[-1], client.got("GLOBAL_POSITION_INT")[-1]
     assert (local.x, local.y, local.z) == pytest.approx((-1.6, -0.35, 0.45))
@@ -284,8 +274,7 @@ def test_severities_are_mavlinks() -> None:
         assert getattr(mav, f"MAV_SEVERITY_{severity.name}") == severity
 
 
-def test_quaternion_and_angles_agree(world: World) -> None:
-    client = world.client()
+def test_quaternion_and_angles_agree(world: World, client: Client) -> None:
     world.run(1.0)
     q, a = client.got("ATTITUDE_QUATERNION")[-1], client.got("ATTITUDE")[-1]
     assert math.atan2(2 * (q.q1 * q.q4 + q.q2 * q.q3), 1 - 2 * (q.q3**2 + q.q4**2)) == pytest.approx(a.yaw, abs=1e-5)
@@ -361,8 +350,7 @@ def test_what_is_not_known_is_not_sent(world: World, broken: float) -> None:
     assert client.got("HEARTBEAT") and client.got("SYS_STATUS")
 
 
-def test_origin_and_home_are_told_when_they_change(world: World) -> None:
-    client = world.client()
+def test_origin_and_home_are_told_when_they_change(world: World, client: Client) -> None:
     world.run(1.0)
     client.rx.clear()
     world.show(home=GeodeticPosition(lat_deg=37.97551, lon_deg=23.77901, alt_m=11.0))
@@ -405,15 +393,13 @@ def test_two_long_texts_have_different_ids(world: World) -> None:
 # Small services
 
 
-def test_ping_is_answered_and_answers_are_not(world: World) -> None:
-    client = world.client()
+def test_ping_is_answered_and_answers_are_not(client: Client) -> None:
     (answer,) = client.ask(mav.MAVLink_ping_message(77, 5, 0, 0), "PING", 0.1)
     assert (answer.time_usec, answer.seq, answer.target_system, answer.target_component) == (77, 5, 255, 190)
     assert not client.ask(mav.MAVLink_ping_message(77, 5, 1, 1), "PING", 0.1)
 
 
-def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World) -> None:
-    client = world.client()
+def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World, client: Client) -> None:
     world.run(0.2)
     (request,) = client.got("TIMESYNC")
     assert request.tc1 == 0 and request.ts1 <= world.t_us * 1000, "ours, every ten seconds: the log has its answers"
@@ -422,8 +408,7 @@ def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World) -
     assert not client.ask(mav.MAVLink_timesync_message(5, 123_456), "TIMESYNC", 0.1)
 
 
-def test_the_time_of_day_is_learnt(world: World) -> None:
-    client = world.client()
+def test_the_time_of_day_is_learnt(world: World, client: Client) -> None:
     assert world.server.utc_offset_us is None
     client.send(mav.MAVLink_system_time_message(1_800_000_000_000_000, 5))
     world.run(0.5)
@@ -451,8 +436,7 @@ def test_file_transfer_of_what_is_not_there_is_declined_at_once(
     assert (data[4], data[12]) == ((1, error) if error else (0, 0))
 
 
-def test_there_are_no_logs_to_fetch(world: World) -> None:
-    client = world.client()
+def test_there_are_no_logs_to_fetch(client: Client) -> None:
     (entry,) = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.1)
     assert (entry.num_logs, entry.last_log_num) == (0, 0)
 

@@ -68,10 +68,11 @@ class Bench:
             self.texts += [event.text for event in self.commander.drain_events()]
         return decision
 
-    def load(self, laps: int = 1) -> None:
+    def load(self, laps: int = 1) -> "Bench":
         plan = paper_plan(laps)
         assert self.plans.replace(PlanKind.FENCE, plan.fence) is None
         assert self.plans.replace(PlanKind.MISSION, plan.mission) is None
+        return self
 
     def armed(self, **_: Any) -> "Bench":
         self.run()

@@ -29,8 +29,7 @@ from autopilot.mission.paper import paper_plan
         ({"thruster_problem": "heading cannot be held"}, "THRn_HEALTH"),
     ],
 )
-def test_arming_is_refused_with_a_reason(change: dict[str, Any], word: str) -> None:
-    bench = Bench()
+def test_arming_is_refused_with_a_reason(bench: Bench, change: dict[str, Any], word: str) -> None:
     for name, value in change.items():
         setattr(bench if hasattr(bench, name) else bench.status, name, value)
     bench.run()
@@ -51,9 +50,8 @@ def test_a_vehicle_without_markers_is_not_sent_to_them() -> None:
         assert f"no position yet: {remedy}" in bench.commander.prearm_reasons()
 
 
-def test_a_vehicle_without_markers_hears_of_none() -> None:
+def test_a_vehicle_without_markers_hears_of_none(bench: Bench) -> None:
     """Nor of a camera: health, doubts and failsafes alike."""
-    bench = Bench()
     bench.commander = Commander(load_vehicle("lbv150"), bench.params, bench.plans, has_markers=False)
     bench.armed()
     for health in (NavHealth.DEAD_RECKONING, NavHealth.INVALID):
@@ -94,16 +92,14 @@ def test_a_blow_is_not_called_a_wrong_accelerometer_unless_it_stays_wrong() -> N
         assert sum("Accelerometer wrong" in text for text in bench.texts) == said, (struck, lasts_s)
 
 
-def test_arming_outside_the_fence_is_refused() -> None:
-    bench = Bench()
+def test_arming_outside_the_fence_is_refused(bench: Bench) -> None:
     bench.load()
     bench.pos = np.array([0.9375, 0.0, 0.5])
     bench.run()
     assert "fence" in bench.commander.arm(force=False).reason
 
 
-def test_a_disarmed_vehicle_has_no_goal_and_an_armed_one_holds() -> None:
-    bench = Bench()
+def test_a_disarmed_vehicle_has_no_goal_and_an_armed_one_holds(bench: Bench) -> None:
     assert bench.run().goal is None
     bench.armed()
     goal = bench.run().goal
@@ -115,10 +111,8 @@ def test_a_disarmed_vehicle_has_no_goal_and_an_armed_one_holds() -> None:
     assert held.pos_ned_m == pytest.approx(goal.pos_ned_m)
 
 
-def test_the_mission_runs_to_its_end_and_then_holds() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_the_mission_runs_to_its_end_and_then_holds(bench: Bench) -> None:
+    bench.load().armed()
     assert bench.commander.start_mission(None).result is OK
     reached: list[int] = []
     for x, y, z, yaw in [(-1.6, -0.35, 0.45, 0.0), (1.75, 0.0, 0.3, np.pi), (-1.6, -0.35, 0.45, 0.0)]:
@@ -132,8 +126,7 @@ def test_the_mission_runs_to_its_end_and_then_holds() -> None:
     assert decision.goal.pos_ned_m[:2] == pytest.approx([-1.6, -0.35], abs=0.02)
 
 
-def test_start_without_plan_or_arms_is_refused() -> None:
-    bench = Bench()
+def test_start_without_plan_or_arms_is_refused(bench: Bench) -> None:
     bench.run()
     assert "arm" in bench.commander.start_mission(None).reason
     bench.armed()
@@ -141,10 +134,8 @@ def test_start_without_plan_or_arms_is_refused() -> None:
     assert "upload" in bench.commander.set_mode(FlightMode.MISSION).reason
 
 
-def test_pause_and_resume_keep_the_place_in_the_mission() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_pause_and_resume_keep_the_place_in_the_mission(bench: Bench) -> None:
+    bench.load().armed()
     bench.commander.start_mission(None)
     bench.pos = np.array([-1.6, -0.35, 0.45])
     bench.run(0.05)
@@ -160,10 +151,8 @@ def test_pause_and_resume_keep_the_place_in_the_mission() -> None:
     assert decision.goal.seq == 1
 
 
-def test_a_new_plan_stops_the_running_one() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_a_new_plan_stops_the_running_one(bench: Bench) -> None:
+    bench.load().armed()
     bench.commander.start_mission(None)
     bench.run()
     assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
@@ -186,10 +175,8 @@ def test_surfacing_ends_disarmed() -> None:
     assert not bench.run().armed
 
 
-def test_go_to_is_checked_against_the_fence() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_go_to_is_checked_against_the_fence(bench: Bench) -> None:
+    bench.load().armed()
 
     def go(north: float, east: float, down: float) -> Any:
         lat, lon, alt = geodetic_from_ned(bench.plans.origin, np.array([north, east, down]))
@@ -206,8 +193,7 @@ def test_go_to_is_checked_against_the_fence() -> None:
     assert kept.pos_ned_m == pytest.approx(goal.pos_ned_m)
 
 
-def test_origin_moves_only_while_disarmed() -> None:
-    bench = Bench()
+def test_origin_moves_only_while_disarmed(bench: Bench) -> None:
     bench.run()
     there = GeodeticPosition(lat_deg=10.0, lon_deg=20.0, alt_m=1.0)
     assert bench.commander.set_origin(there).result is OK
@@ -237,8 +223,7 @@ def test_emergency_stop_always_works() -> None:
     assert "Emergency stop" in bench.texts
 
 
-def test_items_behind_a_return_are_not_reported_as_reached() -> None:
-    bench = Bench()
+def test_items_behind_a_return_are_not_reported_as_reached(bench: Bench) -> None:
     plan = paper_plan(1)
     assert bench.plans.replace(PlanKind.FENCE, plan.fence) is None
     first = plan.mission[0]

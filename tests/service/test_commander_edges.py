@@ -13,8 +13,7 @@ from tests.plan_items import circle, local
 
 def test_a_failsafe_that_holds_does_not_go_on_to_the_waypoint() -> None:
     bench = Bench(FS_BATT_ACT=1)
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     bench.commander.start_mission(None)
     going = bench.run().goal
     assert going is not None
@@ -63,10 +62,8 @@ def test_a_mere_warning_does_not_keep_the_operator_from_taking_over() -> None:
     assert bench.run().mode is FlightMode.HOLD
 
 
-def test_a_start_that_a_failsafe_refuses_leaves_the_mission_where_it_is() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_a_start_that_a_failsafe_refuses_leaves_the_mission_where_it_is(bench: Bench) -> None:
+    bench.load().armed()
     bench.status.solver_failures = 1000
     bench.run(0.02)
     assert bench.commander.start_mission(2).result is CommandResult.DENIED
@@ -83,10 +80,8 @@ def test_a_moving_vehicle_holds_where_it_comes_to_rest() -> None:
     assert goal.pos_ned_m == pytest.approx(np.add(bench.pos, [0.0, 0.35**2 / 0.5, 0.0]))
 
 
-def test_the_braking_distance_ends_before_the_fence() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_the_braking_distance_ends_before_the_fence(bench: Bench) -> None:
+    bench.load().armed()
     bench.pos = np.array([-1.0, 1.15, 0.5])
     bench.yaw, bench.vel_frd_m_s = np.pi / 2, np.array([0.35, 0.0, 0.0])
     bench.run()
@@ -135,8 +130,7 @@ def test_position_and_way_are_reported_once() -> None:
 
 
 @pytest.mark.parametrize("chosen", [FlightMode.RETURN, FlightMode.SURFACE])
-def test_arming_begins_the_mode_that_was_chosen(chosen: FlightMode) -> None:
-    bench = Bench()
+def test_arming_begins_the_mode_that_was_chosen(bench: Bench, chosen: FlightMode) -> None:
     bench.run()
     assert bench.commander.set_mode(chosen).result is OK
     bench.pos = np.add(bench.pos, [0.0, 0.5, 0.0])
@@ -149,8 +143,7 @@ def test_arming_begins_the_mode_that_was_chosen(chosen: FlightMode) -> None:
     assert bench.run().mode is FlightMode.HOLD
 
 
-def test_arming_for_a_mission_that_has_been_cleared_holds() -> None:
-    bench = Bench()
+def test_arming_for_a_mission_that_has_been_cleared_holds(bench: Bench) -> None:
     bench.load()
     bench.run()
     assert bench.commander.set_mode(FlightMode.MISSION).result is OK
@@ -159,10 +152,8 @@ def test_arming_for_a_mission_that_has_been_cleared_holds() -> None:
     assert bench.run().mode is FlightMode.HOLD
 
 
-def test_a_new_mission_does_not_end_a_failsafe() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_a_new_mission_does_not_end_a_failsafe(bench: Bench) -> None:
+    bench.load().armed()
     bench.commander.start_mission(None)
     bench.run()
     bench.status.solver_failures = 1000
@@ -188,8 +179,7 @@ def test_go_to_without_a_place_turns_on_the_spot() -> None:
     assert goal.pos_ned_m == pytest.approx(bench.pos)
 
 
-def test_a_refused_takeoff_leaves_the_one_that_was_accepted() -> None:
-    bench = Bench()
+def test_a_refused_takeoff_leaves_the_one_that_was_accepted(bench: Bench) -> None:
     bench.run()
     assert bench.commander.take_off(0.8).result is OK
     assert bench.commander.take_off(50.0).result is CommandResult.DENIED
@@ -200,8 +190,7 @@ def test_a_refused_takeoff_leaves_the_one_that_was_accepted() -> None:
     assert goal.pos_ned_m[2] == pytest.approx(0.8)
 
 
-def test_arming_says_why_it_holds_instead_of_the_mode_chosen_before() -> None:
-    bench = Bench()
+def test_arming_says_why_it_holds_instead_of_the_mode_chosen_before(bench: Bench) -> None:
     bench.run()
     assert bench.commander.set_mode(FlightMode.GUIDED).result is OK
     assert bench.armed().run().mode is FlightMode.HOLD
@@ -224,8 +213,7 @@ def test_a_start_at_an_item_is_judged_from_that_item_and_leaves_the_mission_alon
         assert bench.commander.mode is FlightMode.MISSION
 
 
-def test_a_mission_is_set_back_with_its_jumps_and_laps() -> None:
-    bench = Bench()
+def test_a_mission_is_set_back_with_its_jumps_and_laps(bench: Bench) -> None:
     bench.load(laps=3)
     bench.armed()
     bench.commander.start_mission(None)

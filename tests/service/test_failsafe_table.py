@@ -169,8 +169,7 @@ def test_an_override_is_told_at_every_arming() -> None:
 
 def test_return_without_a_home_that_can_be_reached_holds() -> None:
     bench = Bench(FS_LAT_ACT=3)
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     bench.plans.set_home(np.array([50.0, 0.0, 0.0]))
     bench.status.command_delay_s = 1.0
     assert bench.run(0.02).mode is FlightMode.HOLD
@@ -203,8 +202,7 @@ def test_without_the_ahrs_it_holds_first_where_the_position_is_known(
     params: dict[str, float], fixed: bool, doubts: tuple[NavDoubt, ...], modes: tuple[str, ...]
 ) -> None:
     bench = Bench(**params)
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     assert bench.commander.start_mission(None).result is OK
     bench.status.fixed, bench.status.nav_doubts = fixed, frozenset(doubts)
     bench.status.ahrs_age_s = 0.6

@@ -80,8 +80,7 @@ def test_a_goal_up_too_fast_a_stream_is_told_skipped_and_the_next_one_reached(tm
 
 def _started(**params: float) -> Bench:
     bench = Bench(WP_STUCK_TIME=10, **params)
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     assert bench.commander.set_mode(FlightMode.MISSION).result is OK
     bench.run(1.0)
     return bench
@@ -163,10 +162,8 @@ def test_a_mission_that_returns_is_not_started_with_a_home_beyond_the_fence() ->
         assert (answer.reason == "Mission denied: home is 0.50 m beyond the fence: set another") == denied
 
 
-def test_a_goal_that_the_current_puts_out_of_reach_is_given_up_in_10_s_with_what_is_missing() -> None:
-    bench = Bench()
-    bench.load()
-    bench.armed()
+def test_a_goal_that_the_current_puts_out_of_reach_is_given_up_in_10_s_with_what_is_missing(bench: Bench) -> None:
+    bench.load().armed()
     assert bench.commander.set_mode(FlightMode.MISSION).result is OK
     bench.run(15.0)
     assert not any(text.startswith("Skipped") for text in bench.texts), "WP_STUCK_TIME is 60 s"
@@ -175,11 +172,9 @@ def test_a_goal_that_the_current_puts_out_of_reach_is_given_up_in_10_s_with_what
     assert "Skipped item 0, out of reach: heading needs 98 % of the thrust" in bench.texts
 
 
-def test_a_slow_approach_is_no_reason_to_give_up_a_goal_once_the_current_seems_too_strong() -> None:
-    bench = Bench()
+def test_a_slow_approach_is_no_reason_to_give_up_a_goal_once_the_current_seems_too_strong(bench: Bench) -> None:
     bench.pos = np.array([2.0, -1.0, 0.45])
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     assert bench.commander.set_mode(FlightMode.MISSION).result is OK
     way = np.array([-3.6, 0.65, 0.0]) / math.hypot(3.6, 0.65)
     for tenth in range(400):
@@ -189,12 +184,10 @@ def test_a_slow_approach_is_no_reason_to_give_up_a_goal_once_the_current_seems_t
     assert not any(text.startswith("Skipped") for text in bench.texts)
 
 
-def test_an_item_that_is_got_nearer_to_is_not_said_to_be_out_of_reach() -> None:
+def test_an_item_that_is_got_nearer_to_is_not_said_to_be_out_of_reach(bench: Bench) -> None:
     """What margins and estimate leave is a prediction; the way that is made good is not."""
-    bench = Bench()
     bench.pos = np.array([2.0, -1.0, 0.45])
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     assert bench.commander.set_mode(FlightMode.MISSION).result is OK
     way = np.array([-3.6, 0.65, 0.0]) / math.hypot(3.6, 0.65)
     for _ in range(250):
@@ -212,8 +205,7 @@ def test_an_item_that_is_got_nearer_to_is_not_said_to_be_out_of_reach() -> None:
 
 def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> None:
     bench = Bench(WP_STUCK_ACT=3)
-    bench.load()
-    bench.armed()
+    bench.load().armed()
     bench.current = np.array([0.0, 0.7, 0.0])
     bench.run()
     answer = bench.commander.set_mode(FlightMode.MISSION)
