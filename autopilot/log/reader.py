@@ -4,6 +4,7 @@ Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
 """
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -206,11 +207,6 @@ class Log:
     def get(self, topic: str) -> MessageTable | None:
         """A fixed-size topic, None if it has no messages.
 
-        Parameters
-        ----------
-        topic
-            Its name.
-
         Returns
         -------
         MessageTable or None
@@ -269,11 +265,6 @@ class Log:
     def messages(self, topic: str) -> list[DecodedMessage]:
         """Every message of a topic of any type, decoded, in the order of the file.
 
-        Parameters
-        ----------
-        topic
-            Its name.
-
         Returns
         -------
         list of DecodedMessage
@@ -285,15 +276,10 @@ class Log:
             The topic is missing, its schema is not ros2msg, or a message is damaged.
         """
         types, name = self.types(topic)
-        self.load([topic])
-        raw = self._raw[topic]
-        rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
-        head = _MESSAGE_HEAD.itemsize
         out = []
-        for row in rows:
-            log_time = int.from_bytes(row[6:14], "little")
+        for log_time, data in self._raw_messages(topic):
             try:
-                value = decode(types, name, row[head:])
+                value = decode(types, name, data)
             except LogError as error:
                 raise LogError(f"{self.path}: {topic}: {error}") from error
             out.append(DecodedMessage((log_time - self.epoch_ns) // 1000, value))
@@ -301,11 +287,6 @@ class Log:
 
     def columns(self, topic: str) -> Columns:
         """Columns of a topic of any type, as they are exported.
-
-        Parameters
-        ----------
-        topic
-            Its name.
 
         Returns
         -------
@@ -329,11 +310,6 @@ class Log:
     def to_pandas(self, topic: str) -> Any:
         """A topic of any type for pandas; its ``to_xarray()`` makes it one for xarray.
 
-        Parameters
-        ----------
-        topic
-            Its name.
-
         Returns
         -------
         pandas.DataFrame
@@ -349,28 +325,21 @@ class Log:
     def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
         """Messages of a topic without decoding.
 
-        Parameters
-        ----------
-        topic
-            Its name.
-
         Returns
         -------
         list of (int, bytes)
             Log time [ns, Unix] and CDR bytes.
         """
+        return list(self._raw_messages(topic))
+
+    def _raw_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         self.load([topic])
         raw = self._raw[topic]
-        rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
-        return [(int.from_bytes(row[6:14], "little"), row[_MESSAGE_HEAD.itemsize :]) for row in rows]
+        for row in itertools.chain((row.tobytes() for block in raw.blocks for row in block), raw.singles):
+            yield int.from_bytes(row[6:14], "little"), row[_MESSAGE_HEAD.itemsize :]
 
     def order(self, topics: Sequence[str]) -> list[int]:
         """File order of the messages of several topics (stamps do not give the order of arrival).
-
-        Parameters
-        ----------
-        topics
-            Their names.
 
         Returns
         -------
@@ -393,13 +362,7 @@ class Log:
         return found
 
     def load(self, topics: Iterable[str]) -> None:
-        """Read several topics in one pass over the file; unknown topics are ignored.
-
-        Parameters
-        ----------
-        topics
-            Their names.
-        """
+        """Read several topics in one pass over the file; unknown topics are ignored."""
         missing = {topic for topic in topics if topic not in self._raw}
         wanted = {n: c.topic for n, c in self._contents.channels.items() if c.topic in missing}
         for topic in missing:

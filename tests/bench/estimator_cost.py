@@ -14,7 +14,7 @@ from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.estimator.create import create_estimator
 from autopilot.run.sitl_session import SitlSession
 from autopilot.sitl.floor import given_markers
-from tests.bench.estimator_figures import EstimatorBenchRow, Limit, verdict
+from tests.bench.estimator_figures import EstimatorBenchRow, Limit, whole
 from tests.bench.estimator_flights import FlightSpec, open_flight, watch
 
 ESTIMATOR_BAR_PCT, VISION_BAR_PCT, LATE_BAR_PCT = 5.0, 30.0, 1.0
@@ -78,19 +78,7 @@ def bench_cost(duration_s: float = COST_S) -> list[EstimatorBenchRow]:
 
 
 def _row(figure: str, value: float, bar: float | None, unit: str = "%") -> EstimatorBenchRow:
-    limit = None if bar is None else Limit(high=bar)
-    return EstimatorBenchRow(
-        figure=figure,
-        measured=value,
-        low=None,
-        median=None,
-        high=None,
-        unit=unit,
-        bar="" if limit is None else str(limit),
-        goal="",
-        verdict=verdict(value, limit, None),
-        seeds=1,
-    )
+    return whole(figure, value, unit, 1, None if bar is None else Limit(high=bar))
 
 
 def _flown(sensors: str, duration_s: float, changes: Mapping[str, Any] | None = None) -> _Timed:

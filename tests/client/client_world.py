@@ -11,12 +11,13 @@ import numpy as np
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import GeodeticPosition, Origin
-from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState, RunEnd
+from autopilot.core.messages import Event, MavlinkFrame, ProgressState, RunEnd
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.sequencer import Sequencer
 from autopilot.mission.store import Plans
+from tests import plan_items
 
 TICK_US = 10_000
 RADIUS_M = 0.3
@@ -91,7 +92,7 @@ class StraightVehicle:
         if self.plans.revision != self.loaded and self.sequencer.state is not ProgressState.ACTIVE:
             self.sequencer.load(self.plans.steps())
             self.loaded = self.plans.revision
-        nav = self._nav(t_us)
+        nav = plan_items.nav(*self.pos.tolist(), self.yaw, t_us)
         out = self.sequencer.step(t_us, nav)
         if out.goal is not None:
             off = out.goal.pos_ned_m - self.pos
@@ -119,20 +120,6 @@ class StraightVehicle:
             dropped_rx=0,
         )
         return out.reached, view
-
-    def _nav(self, t_us: int) -> NavState:
-        zero = np.zeros(3)
-        return NavState(
-            t_us=t_us,
-            health=NavHealth.GOOD,
-            pos_ned_m=self.pos,
-            rpy_rad=np.array([0.0, 0.0, self.yaw]),
-            vel_frd_m_s=zero,
-            vel_water_frd_m_s=zero,
-            rate_frd_rad_s=zero,
-            current_ned_m_s=zero,
-            variance=np.zeros(12),
-        )
 
 
 @dataclass

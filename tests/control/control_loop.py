@@ -3,10 +3,11 @@ estimate that lags and is noisy: what the controller sees is not what there is."
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi
@@ -60,17 +61,7 @@ def nav_state(
     t_us: int, x: FloatArray, current: FloatArray | None = None, health: NavHealth = NavHealth.GOOD
 ) -> NavState:
     """A perfect estimate of the model state x (8,)."""
-    return NavState(
-        t_us=t_us,
-        health=health,
-        pos_ned_m=np.array(x[:3]),
-        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[3]))]),
-        vel_frd_m_s=np.array(x[4:7]),
-        vel_water_frd_m_s=np.array(x[4:7]),
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=np.zeros(3) if current is None else current,
-        variance=np.zeros(12),
-    )
+    return replace(estimate_of(t_us, np.array(x), current_ned_m_s=current), health=health)
 
 
 @dataclass

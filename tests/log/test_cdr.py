@@ -19,8 +19,6 @@ from autopilot.core.messages import (
     Event,
     NavCounters,
     NavDoubt,
-    NavHealth,
-    NavState,
 )
 from autopilot.core.samples import (
     AhrsSample,
@@ -38,6 +36,7 @@ from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 from autopilot.log.topics import AID_PREFIX, TOPICS
 from autopilot.replay.inputs import SAMPLES
+from tests.plan_items import nav
 from tests.sample_kinds import sample_of
 
 STORE = get_typestore(Stores.LATEST)
@@ -326,21 +325,10 @@ def test_variable_types(stamp: int, points: list[tuple[float, float, float]], te
 
 
 def test_pose_and_transforms() -> None:
-    zero = np.zeros(3)
-    nav = NavState(
-        t_us=0,
-        health=NavHealth.GOOD,
-        pos_ned_m=np.array([1.0, 2.0, 3.0]),
-        rpy_rad=np.array([0.0, 0.0, math.pi / 2]),
-        vel_frd_m_s=zero,
-        vel_water_frd_m_s=zero,
-        rate_frd_rad_s=zero,
-        current_ned_m_s=zero,
-        variance=np.zeros(12),
-    )
-    pose = read_back("geometry_msgs/PoseStamped", visuals.pose_stamped(5, nav))
+    state = nav(1.0, 2.0, 3.0, math.pi / 2)
+    pose = read_back("geometry_msgs/PoseStamped", visuals.pose_stamped(5, state))
     assert (pose.pose.position.y, pose.pose.orientation.z) == (2.0, pytest.approx(math.sqrt(0.5)))
-    tf = read_back("tf2_msgs/TFMessage", visuals.transforms(5, nav))
+    tf = read_back("tf2_msgs/TFMessage", visuals.transforms(5, state))
     assert [(t.header.frame_id, t.child_frame_id) for t in tf.transforms] == [("map", "ned"), ("ned", "frd")]
     assert tf.transforms[1].transform.translation.z == 3.0
     assert tf.transforms[0].transform.rotation.x == 1.0

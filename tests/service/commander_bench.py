@@ -1,5 +1,6 @@
 """A commander with everything that it looks at under the test's hand."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.store import Plans
+from tests import plan_items
 
 TICK_US = 10_000
 OK = CommandResult.ACCEPTED
@@ -42,18 +44,8 @@ class Bench:
     def nav(self) -> NavState | None:
         if self.health is None:
             return None
-        zero = np.zeros(3)
-        return NavState(
-            t_us=self.t_us,
-            health=self.health,
-            pos_ned_m=self.pos,
-            rpy_rad=np.array([0.0, 0.0, self.yaw]),
-            vel_frd_m_s=self.vel_frd_m_s,
-            vel_water_frd_m_s=zero,
-            rate_frd_rad_s=zero,
-            current_ned_m_s=self.current,
-            variance=np.zeros(12),
-        )
+        at = plan_items.nav(*self.pos.tolist(), self.yaw, self.t_us, self.health)
+        return replace(at, vel_frd_m_s=self.vel_frd_m_s, current_ned_m_s=self.current)
 
     def run(self, seconds: float = 0.01) -> Decision:
         for _ in range(max(1, round(seconds * 100))):

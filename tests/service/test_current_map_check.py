@@ -17,7 +17,7 @@ from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.current.current_map import CurrentMap
 from autopilot.control.current.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.messages import Severity
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
@@ -28,6 +28,7 @@ from autopilot.mission.paper import paper_plan
 from autopilot.mission.store import Plans
 from autopilot.sitl.grid_current import GridField, read_grid
 from autopilot.sitl.scenario import scenario_path
+from tests.plan_items import nav
 
 NORTH, EAST = np.linspace(-3.0, 3.0, 25), np.linspace(-2.0, 2.0, 17)
 
@@ -83,21 +84,6 @@ def test_what_the_map_leaves_of_a_leg_is_told_at_the_upload(tmp_path: Path) -> N
     assert re.fullmatch(r"Item 2 is upstream: 0\.0[34]\d m/s left, \d+ (min|s) \(by current map m\.npz\)", text), text
 
 
-def _nav(t_us: int) -> NavState:
-    zero = np.zeros(3)
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=np.array([-1.0, 0.5, 0.5]),
-        rpy_rad=zero,
-        vel_frd_m_s=zero,
-        vel_water_frd_m_s=zero,
-        rate_frd_rad_s=zero,
-        current_ned_m_s=zero,
-        variance=np.zeros(12),
-    )
-
-
 def test_in_open_water_the_legs_have_to_be_on_the_map_and_arming_is_refused_without(tmp_path: Path) -> None:
     params, vehicle = ParamSet(), load_vehicle("lbv150")
     plans = _plans(_water(tmp_path / "m.npz", half=0.5), params)
@@ -108,13 +94,13 @@ def test_in_open_water_the_legs_have_to_be_on_the_map_and_arming_is_refused_with
     plans = _plans(CurrentMap(nodes), params)
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
     commander = Commander(vehicle, params, plans)
-    commander.step(VehicleStatus(t_us=0, nav=_nav(0), ahrs_age_s=0.01))
+    commander.step(VehicleStatus(t_us=0, nav=nav(-1.0, 0.5, 0.5, t_us=0), ahrs_age_s=0.01))
     assert commander.arm(False).result is CommandResult.ACCEPTED
     commander.disarm(False)
     moved = replace(plans.origin, lat_deg=plans.origin.lat_deg + 0.01)
     assert plans.set_origin(moved) is None
     assert "placed about another origin" in plans.problem
-    commander.step(VehicleStatus(t_us=9, nav=_nav(9), ahrs_age_s=0.01))
+    commander.step(VehicleStatus(t_us=9, nav=nav(-1.0, 0.5, 0.5, t_us=9), ahrs_age_s=0.01))
     assert "placed about another origin" in commander.arm(False).reason
 
 
@@ -134,7 +120,7 @@ def test_arming_is_refused_when_parameters_make_the_map_too_small(tmp_path: Path
     plans = _plans(load_current_map(tmp_path / "m.npz"), params)
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
     commander = Commander(vehicle, params, plans)
-    commander.step(VehicleStatus(t_us=0, nav=_nav(0), ahrs_age_s=0.01))
+    commander.step(VehicleStatus(t_us=0, nav=nav(-1.0, 0.5, 0.5, t_us=0), ahrs_age_s=0.01))
     assert commander.prearm_reasons() == ()
     params.set("DEPTH_MAX", params["DEPTH_MAX"] + 0.5)
     answer = commander.arm(False)

@@ -16,7 +16,7 @@ from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from tests.plan_items import local, plain, tank, waypoint
+from tests.plan_items import local, nav, plain, tank, waypoint
 from tests.service.commander_bench import OK, Bench
 
 SCENARIO = """
@@ -213,18 +213,7 @@ def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> N
 
 
 def _nav(x: float, t_s: float, health: NavHealth = NavHealth.GOOD) -> NavState:
-    zero = np.zeros(3)
-    return NavState(
-        t_us=round(t_s * 1e6),
-        health=health,
-        pos_ned_m=np.array([x, 0.0, 0.5]),
-        rpy_rad=zero,
-        vel_frd_m_s=zero,
-        vel_water_frd_m_s=zero,
-        rate_frd_rad_s=zero,
-        current_ned_m_s=zero,
-        variance=np.zeros(12),
-    )
+    return nav(x, 0.0, 0.5, t_us=round(t_s * 1e6), health=health)
 
 
 GOAL = Goal(

@@ -4,9 +4,10 @@ import numpy as np
 from commander_bench import Bench
 
 from autopilot.control.thrust.losses import ThrusterLosses
-from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
+from tests.plan_items import nav
 
 
 def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
@@ -67,17 +68,7 @@ def test_thrusters_that_were_never_asked_for_anything_are_not_taken_for_sound() 
 
 
 def _at_rest(t_us: int) -> NavState:
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=np.array([0.0, 0.0, 0.5]),
-        rpy_rad=np.zeros(3),
-        vel_frd_m_s=np.zeros(3),
-        vel_water_frd_m_s=np.zeros(3),
-        rate_frd_rad_s=np.zeros(3),
-        current_ned_m_s=np.zeros(3),
-        variance=np.zeros(12),
-    )
+    return nav(0.0, 0.0, 0.5, t_us=t_us)
 
 
 def test_a_delay_that_is_allowed_for_is_only_told() -> None:

@@ -5,7 +5,6 @@ import math
 import os
 import re
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import pytest
 from browser_module import browser, needs_browser, pixels_of
 from click.testing import CliRunner
 from scripted_page import module
-from viewers import PATIENCE_S, Stream, get, post, run
+from viewers import Page, Stream, get, post, run
 
 from autopilot.cli.log import log as log_command
 from autopilot.log.reader import open_log
@@ -26,31 +25,11 @@ from tests.log.log_synthetic import Run, write_run
 ARROW, SPACE, HOME, END, NEXT = ("ArrowRight", 39), (" ", 32), ("Home", 36), ("End", 35), ("n", 78)
 
 
-class Player:
+class Player(Page):
     """``autopilot log view LOG``."""
 
     def __init__(self, log: Path, folder: Path) -> None:
-        self.out = folder / "view.txt"
-        with self.out.open("w", encoding="utf-8") as out:
-            self.process = subprocess.Popen(
-                autopilot_command("log", "view", str(log), "--port", "0"),
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "AUTOPILOT_STATE_DIR": str(folder)},
-            )
-        begin_s = time.monotonic()
-        while not (found := re.search(r"view: http://127\.0\.0\.1:(\d+)/\n", self.out.read_text(encoding="utf-8"))):
-            assert self.process.poll() is None, self.out.read_text(encoding="utf-8")
-            assert time.monotonic() - begin_s < PATIENCE_S
-            time.sleep(0.05)
-        self.port = int(found[1])
-
-    def end(self) -> int:
-        self.process.terminate()
-        try:
-            return self.process.wait(PATIENCE_S)
-        finally:
-            self.process.kill()
+        super().__init__(folder, "log", "view", str(log), "--port", "0", address=r"127\.0\.0\.1")
 
 
 @pytest.fixture(scope="module")

@@ -19,22 +19,17 @@ MOST_EVENTS = 1000
 """So many events are waited for: a minute or two."""
 
 
-class Run:
-    """``autopilot sitl --view 0``, or ``run``, and what it has printed."""
+class Page:
+    """A command that serves the page, and what it has printed."""
 
-    def __init__(self, folder: Path, *arguments: str, command: str = "sitl", view: int = 0) -> None:
+    def __init__(self, folder: Path, *arguments: str, address: str = r"[\d.]+") -> None:
         self.out = folder / "out.txt"
         environment = {**os.environ, "AUTOPILOT_LOG_DIR": str(folder), "AUTOPILOT_STATE_DIR": str(folder)}
         with self.out.open("w", encoding="utf-8") as out:
             self.process = subprocess.Popen(
-                autopilot_command(
-                    command, "--view", str(view), "--connect", f"udpin:127.0.0.1:{free_port()}", *arguments
-                ),
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                env=environment,
+                autopilot_command(*arguments), stdout=out, stderr=subprocess.STDOUT, env=environment
             )
-        self.port = int(self.printed(r"view: http://[\d.]+:(\d+)/\n"))
+        self.port = int(self.printed(rf"view: http://{address}:(\d+)/\n"))
 
     def printed(self, pattern: str) -> str:
         """Wait until that is printed; its first group."""
@@ -54,6 +49,15 @@ class Run:
             return self.process.wait(PATIENCE_S)
         finally:
             self.process.kill()
+
+
+class Run(Page):
+    """``autopilot sitl --view 0``, or ``run``."""
+
+    def __init__(self, folder: Path, *arguments: str, command: str = "sitl", view: int = 0) -> None:
+        super().__init__(
+            folder, command, "--view", str(view), "--connect", f"udpin:127.0.0.1:{free_port()}", *arguments
+        )
 
 
 @contextlib.contextmanager
