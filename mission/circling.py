@@ -98,19 +98,19 @@ class LoiterCircle:
 
     def _made(self, nav: NavState, bearing: float, off_m: float) -> Goal:
         out, sense = complex(math.cos(bearing), math.sin(bearing)), self._sense
-        yaw = self._heading(nav, bearing)
+        place = self._centre + self.radius_m * out
+        nearest = Goal(
+            pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
+            yaw_rad=self._heading(nav, bearing),
+            speed_m_s=self._speed_m_s,
+            accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
+            accept_yaw_rad=CIRCLING.accept_yaw_rad,
+            seq=self._seq,
+        )
         if abs(off_m) > CIRCLING.join_m:
-            place = self._centre + self.radius_m * out
             approach = self.approach_m_s
-            joining = Goal(
-                pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
-                yaw_rad=yaw,
-                speed_m_s=self._params["SPD_CRUISE"] if approach is None else approach,
-                speed_asked=approach is not None,
-                accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-                accept_yaw_rad=CIRCLING.accept_yaw_rad,
-                seq=self._seq,
-            )
+            speed = self._params["SPD_CRUISE"] if approach is None else approach
+            joining = replace(nearest, speed_m_s=speed, speed_asked=approach is not None)
             old = self._goal
             if old is None or old.drive is not None or not _near(old.pos_ned_m, joining.pos_ned_m):
                 return joining
@@ -122,14 +122,8 @@ class LoiterCircle:
         velocity = out * complex(pull, sense * along)
         turn = sense * along / self.radius_m
         turns = self._yaw in (OrbitYaw.TO_CENTRE, OrbitYaw.ALONG) and self.facing_m is None
-        place = self._centre + self.radius_m * out
-        return Goal(
-            pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
-            yaw_rad=yaw,
-            speed_m_s=speed,
-            accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-            accept_yaw_rad=CIRCLING.accept_yaw_rad,
-            seq=self._seq,
+        return replace(
+            nearest,
             drive=VelocityGoal(
                 north_m_s=velocity.real,
                 east_m_s=velocity.imag,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from autopilot.core.camera import NEAR_M, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.toml_table import Vec3
 from autopilot.sitl.fault_tables import LensFault, Mounting
 from autopilot.sitl.floor import Floor, Image
 from autopilot.sitl.plant import Truth
@@ -217,33 +218,33 @@ def faulty(camera: CameraModel, faults: Sequence[LensFault | Mounting]) -> Camer
             continue
         laser_frd_m = camera.position_frd_m + camera.r_frd_from_cam @ camera.laser_offset_cam_m
         beam_frd = camera.r_frd_from_cam @ camera.laser_direction_cam
-        r_frd_from_cam = r_ned_from_frd(np.array(fault.rpy_rad)) @ camera.r_frd_from_cam
-        position_frd_m = camera.position_frd_m + np.array(fault.position_m)
-        camera = replace(
-            camera,
-            position_frd_m=position_frd_m,
-            r_frd_from_cam=r_frd_from_cam,
-            laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),
-            laser_direction_cam=r_frd_from_cam.T @ beam_frd,
-        )
+        camera = _moved(camera, fault.position_m, fault.rpy_rad, laser_frd_m, beam_frd)
     return camera
+
+
+def _moved(
+    camera: CameraModel, by_m: Vec3, by_rpy_rad: Vec3, laser_frd_m: FloatArray, beam_frd: FloatArray
+) -> CameraModel:
+    """Displaced and turned in its mounting; the laser's place and beam are given in the body frame."""
+    r_frd_from_cam = r_ned_from_frd(np.array(by_rpy_rad)) @ camera.r_frd_from_cam
+    position_frd_m = camera.position_frd_m + np.array(by_m)
+    return replace(
+        camera,
+        position_frd_m=position_frd_m,
+        r_frd_from_cam=r_frd_from_cam,
+        laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),
+        laser_direction_cam=r_frd_from_cam.T @ beam_frd,
+    )
 
 
 def true_camera(model: CameraModel, imaging: ImageModel, laser: LaserSensor) -> CameraModel:
     """The camera and the beam of a scenario that differ from ``model``, the vehicle file's, by its errors."""
     laser_frd_m = model.position_frd_m + model.r_frd_from_cam @ model.laser_offset_cam_m + laser.position_error_m
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
-    r_frd_from_cam = r_ned_from_frd(np.array(imaging.mounting_error_rad)) @ model.r_frd_from_cam
-    position_frd_m = model.position_frd_m + np.array(imaging.position_error_m)
     (cx, cy), (dx, dy) = model.center_px, imaging.principal_error_px
     lens = replace(camera_of(model, imaging.focal_factor), center_px=(cx + dx, cy + dy))
-    return replace(
-        lens if imaging.port is None else lens.behind(imaging.port.to_port()),
-        position_frd_m=position_frd_m,
-        r_frd_from_cam=r_frd_from_cam,
-        laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),
-        laser_direction_cam=r_frd_from_cam.T @ beam_frd,
-    )
+    camera = lens if imaging.port is None else lens.behind(imaging.port.to_port())
+    return _moved(camera, imaging.position_error_m, imaging.mounting_error_rad, laser_frd_m, beam_frd)
 
 
 def _span(where_px: NDArray[np.float32], limit: int) -> tuple[int, int]:
