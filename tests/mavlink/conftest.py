@@ -8,9 +8,15 @@ from mavlink_harness import Client, World
 from autopilot.mavlink.api import CommandReply, CommandResult
 
 
+@pytest.fixture(name="profile")
+def profile_fixture() -> str:
+    """Unless a test is parametrized by it."""
+    return "px4"
+
+
 @pytest.fixture(name="world")
-def world_fixture() -> World:
-    return World()
+def world_fixture(profile: str) -> World:
+    return World(profile)
 
 
 @pytest.fixture(name="client")

@@ -78,9 +78,8 @@ def request(number: int, index: float = 0.0, component: int = 1) -> Any:
 
 
 @pytest.mark.parametrize("profile", ["generic", "px4", "ardusub"])
-def test_a_starting_vehicle_says_what_it_is_in_the_words_of_the_running_one(profile: str) -> None:
+def test_a_starting_vehicle_says_what_it_is_in_the_words_of_the_running_one(world: World, profile: str) -> None:
     """Version with fence and rally points, protocol, metadata, modes: each as the service says it later."""
-    world = World(profile)
     client = world.client(number=1, sysid=255)
     identity = world.server._ctx.identity
     boot = BootLink(1, profile, BootIdentity(profile_by_name(profile), lambda: identity))

@@ -226,9 +226,7 @@ def test_our_own_echo_is_not_obeyed(world: World) -> None:
         ("ardusub", 16, FlightMode.POSHOLD),
     ],
 )
-def test_legacy_set_mode(profile: str, custom: int, mode: FlightMode) -> None:
-    world = World(profile)
-    client = world.client()
+def test_legacy_set_mode(world: World, client: Client, profile: str, custom: int, mode: FlightMode) -> None:
     client.send(mav.MAVLink_set_mode_message(1, 1, custom))
     world.run(0.05)
     assert world.vehicle.calls == [("set_mode", mode)]
@@ -448,10 +446,8 @@ def test_acknowledgement_comes_before_the_message(client: Client) -> None:
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_available_modes(profile: str) -> None:
+def test_available_modes(world: World, client: Client, profile: str) -> None:
     """ArduPilot's GUIDED is Hold and set points in one: it has one number and one line."""
-    world = World(profile)
-    client = world.client()
     assert client.command(512, 435, 0) == R.ACCEPTED
     modes = client.got("AVAILABLE_MODES")
     listed = [mode for mode in FlightMode if profile != "ardusub" or mode is not FlightMode.GUIDED]

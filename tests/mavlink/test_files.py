@@ -127,9 +127,7 @@ def test_the_checksum_is_the_specifications() -> None:
 
 
 @pytest.mark.parametrize("profile", ["px4", "generic", "ardusub"])
-def test_a_ground_station_learns_names_units_ranges_and_choices(profile: str) -> None:
-    world = World(profile)
-    client = world.client()
+def test_a_ground_station_learns_names_units_ranges_and_choices(client: Client, profile: str) -> None:
     described = {}
     client.on_message = lambda m: described.update({m.get_type(): m})
     assert client.command(512, 395.0) == 0

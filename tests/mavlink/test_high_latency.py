@@ -97,9 +97,7 @@ def test_other_values_are_invalid(world: World, client: Client, wrong: float) ->
 
 
 @pytest.mark.parametrize(("profile", "mode"), [("px4", 4 | 4 << 8), ("generic", 4 | 4 << 8), ("ardusub", 3)])
-def test_its_fields(profile: str, mode: int) -> None:
-    world = World(profile)
-    client = world.client()
+def test_its_fields(world: World, client: Client, profile: str, mode: int) -> None:
     world.run(1.0)
     beat, place, current = (client.got(name)[-1] for name in ("HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_CURRENT"))
     assert client.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HIGH_LATENCY2) == 0

@@ -175,10 +175,8 @@ def test_float_items_are_refused_as_too_coarse(world: World, client: Client) -> 
 
 
 @pytest.mark.parametrize("profile", ["ardusub", "px4"])
-def test_an_item_that_is_a_go_to(profile: str) -> None:
+def test_an_item_that_is_a_go_to(world: World, client: Client, profile: str) -> None:
     """ArduPilot's, current = 2; QGroundControl sends an ArduSub no other."""
-    world = World(profile)
-    client = world.client()
 
     def go_to(current: int = 2, command: int = 16) -> int:
         item = mav.MAVLink_mission_item_message(1, 1, 0, 3, command, current, 1, 0, 0, 0, 0, 37.9756, 23.7791, -0.4, 0)

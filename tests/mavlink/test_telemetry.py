@@ -34,9 +34,7 @@ def one(world: World, name: str) -> object:
 
 
 @pytest.mark.parametrize(("profile", "autopilot"), [("generic", 0), ("px4", 12), ("ardusub", 3)])
-def test_heartbeat(profile: str, autopilot: int) -> None:
-    world = World(profile)
-    client = world.client()
+def test_heartbeat(world: World, client: Client, profile: str, autopilot: int) -> None:
     world.run(10.0)
     beats = client.got("HEARTBEAT")
     assert 10 <= len(beats) <= 11

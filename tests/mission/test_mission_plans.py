@@ -28,6 +28,11 @@ def plans(**overrides: float) -> Plans:
     return Plans(ParamSet(overrides), RADIUS_M, ORIGIN)
 
 
+@pytest.fixture(name="store")
+def store_fixture() -> Plans:
+    return plans()
+
+
 def fenced(items: list[PlanItem], **overrides: float) -> Plans:
     store = plans(**overrides)
     assert store.replace(PlanKind.FENCE, tuple(items)) is None
@@ -39,8 +44,7 @@ def numbered(*groups: list[PlanItem] | PlanItem) -> list[PlanItem]:
     return [replace(item, seq=k) for k, item in enumerate(flat)]
 
 
-def test_the_papers_plan_is_taken_and_means_what_the_paper_says() -> None:
-    store = plans()
+def test_the_papers_plan_is_taken_and_means_what_the_paper_says(store: Plans) -> None:
     plan = paper_plan()
     assert store.replace(PlanKind.FENCE, plan.fence) is None
     assert store.replace(PlanKind.MISSION, plan.mission) is None
@@ -59,8 +63,7 @@ def test_the_papers_plan_is_taken_and_means_what_the_paper_says() -> None:
     assert [type(s).__name__ for s in store.steps()] == ["GoTo", "GoTo", "GoTo", "Jump"]
 
 
-def test_mission_and_fence_in_the_other_order() -> None:
-    store = plans()
+def test_mission_and_fence_in_the_other_order(store: Plans) -> None:
     assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
     assert store.replace(PlanKind.FENCE, paper_plan().fence) is None
     assert store.problem == ""
@@ -189,14 +192,12 @@ def test_narrow_gaps_that_no_leg_needs_are_reported_unless_the_parameter_says_ot
     ],
     ids=["overlap", "touch", "nested", "at the wall", "outside", "through the wall", "bridged", "two workspaces"],
 )
-def test_what_is_no_gap_is_not_reported(fence: list[PlanItem]) -> None:
-    store = plans()
+def test_what_is_no_gap_is_not_reported(store: Plans, fence: list[PlanItem]) -> None:
     assert store.replace(PlanKind.FENCE, tuple(fence)) is None
     assert store.warnings() == ()
 
 
-def test_a_fence_that_forbids_the_mission_in_force_names_the_waypoint() -> None:
-    store = plans()
+def test_a_fence_that_forbids_the_mission_in_force_names_the_waypoint(store: Plans) -> None:
     assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
     fence = tuple(numbered(tank(), circle(0, 1.55, 0.0, 0.2)))
     assert store.replace(PlanKind.FENCE, fence) is None
@@ -277,8 +278,7 @@ def test_ids_tell_plans_apart_and_nan_is_a_value_like_any_other() -> None:
     assert plan_checksum(()) == 0
 
 
-def test_the_origin_moves_global_plans_and_not_local_ones() -> None:
-    store = plans()
+def test_the_origin_moves_global_plans_and_not_local_ones(store: Plans) -> None:
     assert store.replace(PlanKind.MISSION, (waypoint(0, 1.0, 0.0),)) is None
     moved = Origin(lat_deg=38.0, lon_deg=23.8)
     assert store.set_origin(moved) is None
@@ -304,8 +304,7 @@ def test_parameters_that_change_later_are_noticed() -> None:
     assert store.problem == ""
 
 
-def test_home_in_both_coordinates() -> None:
-    store = plans()
+def test_home_in_both_coordinates(store: Plans) -> None:
     store.set_home(nav(1.0, -2.0, 0.5).pos_ned_m)
     back = store.local_ned_m(store.home.lat_deg, store.home.lon_deg, store.home.alt_m)
     assert back == pytest.approx([1.0, -2.0, 0.5], abs=1e-6)
@@ -403,8 +402,7 @@ def doors(*widths_m: float) -> list[PlanItem]:
     ],
     ids=["no leg needs it", "wide enough", "one", "narrowest of two", "the one on the way", "no gap"],
 )
-def test_a_gap_matters_where_a_leg_needs_it(widths_m: tuple[float, ...], goal: float, says: str) -> None:
-    store = plans()
+def test_a_gap_matters_where_a_leg_needs_it(store: Plans, widths_m: tuple[float, ...], goal: float, says: str) -> None:
     fence, mission = numbered(doors(*widths_m)), (waypoint(0, 0.0, 0.4), waypoint(1, goal, 0.5))
     assert store.replace(PlanKind.FENCE, tuple(fence)) is None
     assert store.replace(PlanKind.MISSION, mission) is None
@@ -412,8 +410,7 @@ def test_a_gap_matters_where_a_leg_needs_it(widths_m: tuple[float, ...], goal: f
     assert bool(store.problem) is bool(says)
 
 
-def test_the_way_to_the_first_place_is_one_of_the_mission() -> None:
-    store = plans()
+def test_the_way_to_the_first_place_is_one_of_the_mission(store: Plans) -> None:
     store.replace(PlanKind.FENCE, tuple(numbered(doors(0.5, 0.8))))
     store.replace(PlanKind.MISSION, (waypoint(0, 2.0, 0.0), waypoint(1, 4.0, 0.0)))
     verdict = store.verdict

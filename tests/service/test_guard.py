@@ -105,6 +105,11 @@ def flight(tmp_path: Path) -> Iterator[Callable[..., Flight]]:
         session.recorder.close()
 
 
+@pytest.fixture(name="made")
+def made_fixture(flight: Callable[..., Flight]) -> Flight:
+    return flight()
+
+
 def broken(*_: object, **__: object) -> Any:
     """Stands where a part of the service was."""
     raise ZeroDivisionError("broken on purpose")
@@ -114,8 +119,7 @@ def at_rest(outputs: Outputs) -> bool:
     return set(outputs.command.pwm_us[:4]) == {NEUTRAL_US}
 
 
-def test_a_controller_that_fails_is_replaced_by_station_keeping_then_by_neutral(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_a_controller_that_fails_is_replaced_by_station_keeping_then_by_neutral(made: Flight) -> None:
     made.session.parts.controller.step = broken  # type: ignore[method-assign]
     here = made.session.device.truth.pos_ned_m.copy()
     held = made.fly(1.8)
@@ -131,8 +135,7 @@ def test_a_controller_that_fails_is_replaced_by_station_keeping_then_by_neutral(
     assert made.client.count("HEARTBEAT") >= 9
 
 
-def test_the_operator_tries_again_and_the_second_fault_disarms(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_the_operator_tries_again_and_the_second_fault_disarms(made: Flight) -> None:
     sound = made.session.parts.controller.step
     made.session.parts.controller.step = broken  # type: ignore[method-assign]
     made.fly(0.5)
@@ -149,8 +152,7 @@ def test_the_operator_tries_again_and_the_second_fault_disarms(flight: Callable[
 
 
 @pytest.mark.parametrize("part", ["estimator", "commander", "allocation"])
-def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(flight: Callable[..., Flight], part: str) -> None:
-    made = flight()
+def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(made: Flight, part: str) -> None:
     parts, beats = made.session.parts, made.client.count("HEARTBEAT")
     method = {"estimator": "step", "commander": "step", "allocation": "pulses_us"}[part]
     target = parts.actuation.allocation if part == "allocation" else getattr(parts, part)
@@ -169,8 +171,7 @@ def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(flight: Callab
     assert any("Arming denied" in text and "internal fault" in text for text in made.client.texts())
 
 
-def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(made: Flight) -> None:
     made.session.parts.commander.change_speed = broken  # type: ignore[method-assign]
     for _ in range(3):
         made.client.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1.0, 0.2)
@@ -182,8 +183,7 @@ def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(f
     assert any("message" in text for text in made.client.texts())
 
 
-def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_telemetry_that_cannot_be_built_costs_that_message(made: Flight) -> None:
     streams = made.session.parts.server._streams
     streams._builders = {**streams._builders, mav.MAVLINK_MSG_ID_VFR_HUD: broken}
     made.client.inbox.clear()
@@ -194,8 +194,7 @@ def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[...,
     assert made.outputs[-1].mode.armed
 
 
-def test_what_no_part_catches_ends_in_neutral(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_what_no_part_catches_ends_in_neutral(made: Flight) -> None:
     made.session.service._outputs = broken  # type: ignore[method-assign]
     after = made.fly(1.5)
     assert all(at_rest(tick) for tick in after)
@@ -216,8 +215,7 @@ def test_a_fault_is_in_the_log_with_its_inputs(flight: Callable[..., Flight], tm
     assert "Traceback" in text and "NavState(" in text and "goal=Goal(" in text
 
 
-def test_a_guard_that_is_set_to_raise_raises(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_a_guard_that_is_set_to_raise_raises(made: Flight, flight: Callable[..., Flight]) -> None:
     made.session.parts.guard.raises = True
     made.session.parts.controller.step = broken  # type: ignore[method-assign]
     with pytest.raises(ZeroDivisionError):
@@ -248,8 +246,7 @@ class Unplugged:
 @pytest.mark.parametrize(
     "error", [DriverError("serial line is gone; check the cable"), OSError(5, "Input/output error")]
 )
-def test_sensors_that_disappear_are_said_and_come_back(flight: Callable[..., Flight], error: Exception) -> None:
-    made = flight()
+def test_sensors_that_disappear_are_said_and_come_back(made: Flight, error: Exception) -> None:
     device = Unplugged(made, poll=error)
     made.client.inbox.clear()
     after = made.fly(1.5)
@@ -263,8 +260,7 @@ def test_sensors_that_disappear_are_said_and_come_back(flight: Callable[..., Fli
     assert made.outputs[-1].nav is not None and made.outputs[-1].nav.t_us == made.t_us
 
 
-def test_one_failed_thruster_write_is_said_and_the_next_succeeds(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_one_failed_thruster_write_is_said_and_the_next_succeeds(made: Flight) -> None:
     device = Unplugged(made, write=DriverError("thruster output failed: no answer; check cable and power"))
     made.fly(0.02)
     device.failing.clear()
@@ -274,15 +270,13 @@ def test_one_failed_thruster_write_is_said_and_the_next_succeeds(flight: Callabl
     assert not any(tick.mode.failsafes >> Failsafe.THRUSTER & 1 for tick in after)
 
 
-def test_a_thruster_output_that_stays_away_is_a_failsafe(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_a_thruster_output_that_stays_away_is_a_failsafe(made: Flight) -> None:
     Unplugged(made, write=OSError(5, "Input/output error"))
     after = made.fly(3.5)
     assert after[-1].mode.failsafes >> Failsafe.THRUSTER & 1
 
 
-def test_after_a_failed_write_neutral_is_tried(flight: Callable[..., Flight]) -> None:
-    made = flight()
+def test_after_a_failed_write_neutral_is_tried(made: Flight) -> None:
     written: list[tuple[int, ...]] = []
     inner = made.session.device.write
 
