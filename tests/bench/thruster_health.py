@@ -150,12 +150,8 @@ def _row(what: str, flown: list[tuple[HealthFlight, Outcome]], asked_s: float | 
     if asked_s is None:
         return row
     times = [math.inf if outcome.found_s is None else outcome.found_s for outcome in outcomes]
-    return Row(
-        what=what,
-        flights=row.flights,
-        minutes=row.minutes,
-        false=false,
-        false_below=row.false_below,
+    return replace(
+        row,
         found=sum(map(math.isfinite, times)),
         median_s=float(np.quantile(times, 0.5, method="higher")),
         p95_s=float(np.quantile(times, 0.95, method="higher")),

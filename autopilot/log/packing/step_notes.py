@@ -70,6 +70,10 @@ class FlightControllerNote(msgspec.Struct, frozen=True, omit_defaults=True):
     rival: bool = False
 
 
+_SAME = ("acts", "text", "problem", "refusals", "pulses_us", "armed", "rival")
+"""Fields of both."""
+
+
 class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     rx: tuple[Datagram, ...] = ()
     keys: tuple[KeyPacket, ...] = ()
@@ -223,28 +227,10 @@ def _counts(counts: Mapping[str, int] | None) -> dict[str, int] | None:
 
 
 def _flight_controller_note(t_us: int, below: FlightControllerState) -> FlightControllerNote:
-    return FlightControllerNote(
-        authority=below.authority.value,
-        acts=below.acts,
-        late_us=t_us - below.t_us,
-        text=below.text,
-        problem=below.problem,
-        refusals=below.refusals,
-        pulses_us=below.pulses_us,
-        armed=below.armed,
-        rival=below.rival,
-    )
+    same = {name: getattr(below, name) for name in _SAME}
+    return FlightControllerNote(authority=below.authority.value, late_us=t_us - below.t_us, **same)
 
 
 def _below(t_us: int, note: FlightControllerNote) -> FlightControllerState:
-    return FlightControllerState(
-        t_us=t_us - note.late_us,
-        authority=Authority(note.authority),
-        acts=note.acts,
-        text=note.text,
-        problem=note.problem,
-        refusals=note.refusals,
-        pulses_us=note.pulses_us,
-        armed=note.armed,
-        rival=note.rival,
-    )
+    same = {name: getattr(note, name) for name in _SAME}
+    return FlightControllerState(t_us=t_us - note.late_us, authority=Authority(note.authority), **same)
