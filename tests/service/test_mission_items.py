@@ -19,8 +19,12 @@ def afloat(start: tuple[float, float, float, float] = (-1.2, 0.6, 0.5, 0.0)) -> 
     return world
 
 
-def test_loiter_turns_are_flown_round_the_centre_and_left() -> None:
-    world = afloat()
+@pytest.fixture(name="world")
+def world_fixture() -> MissionWorld:
+    return afloat()
+
+
+def test_loiter_turns_are_flown_round_the_centre_and_left(world: MissionWorld) -> None:
     world.fly([placed(0, 18, -1.4, 0.6, 0.6, 0.75, 0.0, -0.5), waypoint(1, -0.8, 0.8)], 30.0)
     assert world.reached == [0, 1]
     assert "Mission complete" in world.texts()
@@ -38,8 +42,7 @@ def test_loiter_turns_are_flown_round_the_centre_and_left() -> None:
     assert world.clearance_m() > 0.0
 
 
-def test_a_vehicle_stays_behind_its_last_turn() -> None:
-    world = afloat()
+def test_a_vehicle_stays_behind_its_last_turn(world: MissionWorld) -> None:
     world.fly([placed(0, 18, -1.4, 0.6, 0.5, 0.25, 0.0, 0.5)], 16.0)
     assert world.reached == [0] and world.custom_mode == HOLD
     assert np.hypot(*world.x[4:6]) < 0.03
@@ -61,17 +64,15 @@ REFUSED = (
 )
 
 
-def test_what_cannot_be_flown_is_refused_by_name() -> None:
-    world = afloat()
+def test_what_cannot_be_flown_is_refused_by_name(world: MissionWorld) -> None:
     for item, field, text in REFUSED:
         assert world.upload([item]).type == field
         assert "item 0" in world.texts() and text in world.texts()
     assert world.upload([placed(0, 16, -1.4, 0.6, 0.5, 0.0, 0.02)]).type == 0, "as in a file"
 
 
-def test_a_circle_that_leaves_the_fence_is_not_started() -> None:
+def test_a_circle_that_leaves_the_fence_is_not_started(world: MissionWorld) -> None:
     """Wrong between two plans: stored, named, and not flown."""
-    world = afloat()
     assert world.upload([placed(0, 18, -1.4, 0.6, 0.5, 1.0, 0.0, 0.9)]).type == 0
     world.run(0.2)
     assert "circle of item 0" in world.texts()
@@ -109,8 +110,7 @@ def test_conditions_wait_on_the_way_and_not_at_a_stop() -> None:
     assert between.min() > 0.1
 
 
-def test_a_mission_that_ends_with_a_gate_reaches_its_last_item() -> None:
-    world = afloat()
+def test_a_mission_that_ends_with_a_gate_reaches_its_last_item(world: MissionWorld) -> None:
     world.fly([waypoint(0, -0.8, 0.6), placed(1, 4501, -0.5, 0.6, 0.5)], 10.0)
     assert "Mission complete" in world.texts() and world.reached == [0, 1]
 
@@ -150,8 +150,7 @@ def test_delays_and_takeoff_are_flown() -> None:
     assert world.x[2] == pytest.approx(0.5, abs=0.06)
 
 
-def test_waypoints_close_together_do_not_flood_the_operator() -> None:
-    world = afloat()
+def test_waypoints_close_together_do_not_flood_the_operator(world: MissionWorld) -> None:
     items = [waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(60)]
     world.fly([*items, plain(60, 177, 0.0, -1.0)], 10.0)
     assert 90 < len(world.reached) <= 121, "20 at once, and ten a second"
@@ -160,8 +159,7 @@ def test_waypoints_close_together_do_not_flood_the_operator() -> None:
     assert len([m for m in world.inbox if m.get_type() == "MISSION_CURRENT"]) <= 115
 
 
-def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
-    world = afloat()
+def test_of_many_that_are_reached_at_once_the_last_is_told(world: MissionWorld) -> None:
     world.fly([waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(400)], 22.0)
     reached = world.reached
     assert reached[:15] == list(range(reached[0], reached[0] + 15)), "one by one at first"
@@ -170,8 +168,7 @@ def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
     assert "the last is item 399 (QGC 400)" in said[-2] and "Mission complete" in said[-1]
 
 
-def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile() -> None:
-    world = afloat()
+def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile(world: MissionWorld) -> None:
     world.fly([waypoint(0, -1.2, 0.6), waypoint(1, -1.2, 0.6), waypoint(2, 1.5, 0.6)], 0.5)
     assert world.command(193, 0.0) == 0
     texts = world.texts()
@@ -180,16 +177,14 @@ def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile() -> 
     assert "Reached item 1" in texts + world.texts()
 
 
-def test_jumps_with_nothing_between_end() -> None:
+def test_jumps_with_nothing_between_end(world: MissionWorld) -> None:
     """Three loops of 30,000 turns, one in the other, and nothing that is flown."""
-    world = afloat()
     empty = [plain(k, 177, 1.0, 30_000.0) for k in range(2, 5)]
     world.fly([waypoint(0, -1.2, 0.6), plain(1, 178, 1.0, 0.2), *empty, waypoint(5, -0.9, 0.6)], 6.0)
     assert 5 in world.reached and "Mission complete" in world.texts()
 
 
-def test_plan_ids_tell_what_is_in_force() -> None:
-    world = afloat()
+def test_plan_ids_tell_what_is_in_force(world: MissionWorld) -> None:
 
     def ids() -> tuple[int, int, int]:
         (m,) = [
@@ -218,7 +213,6 @@ def test_plan_ids_tell_what_is_in_force() -> None:
     assert [m for m in world.inbox if m.id == 42]
 
 
-def test_a_fence_is_not_switched_off_by_command() -> None:
-    world = afloat()
+def test_a_fence_is_not_switched_off_by_command(world: MissionWorld) -> None:
     assert world.command(207, 1.0) == 0
     assert world.command(207, 0.0) == 2 and "fence cannot be switched off" in world.texts()

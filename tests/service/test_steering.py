@@ -39,6 +39,11 @@ def afloat(*args: object, **kwargs: object) -> PilotedWorld:
     return world
 
 
+@pytest.fixture(name="world")
+def world_fixture() -> PilotedWorld:
+    return afloat()
+
+
 # A pilot
 
 
@@ -59,9 +64,8 @@ def test_a_pilot_at_full_stick_is_slowed_down_and_touches_nothing(
     assert np.hypot(*world.x[4:6]) < 0.03
 
 
-def test_switching_modes_is_no_jolt() -> None:
+def test_switching_modes_is_no_jolt(world: PilotedWorld) -> None:
     """Depth changes by less than 0.1 m and no thruster by more than 3 N at once, moving or at rest."""
-    world = afloat()
     order = (MANUAL, POSITION, STABILIZED, ALTITUDE, MANUAL, HOLD, POSITION)
     for n, mode in enumerate(order):
         depth, since = world.x[2], len(world.thrust)
@@ -112,9 +116,8 @@ def test_a_joystick_that_falls_silent_is_released() -> None:
     assert "pilot input lost" in world.texts()
 
 
-def test_both_conventions_of_the_vertical_stick() -> None:
+def test_both_conventions_of_the_vertical_stick(world: PilotedWorld) -> None:
     """0 to 1000 with 500 neutral; below zero says the other one; a stick that rests at an end is not believed."""
-    world = afloat()
     world.mode(ALTITUDE)
     depth = world.x[2]
     world.inbox.clear()
@@ -133,8 +136,7 @@ def test_both_conventions_of_the_vertical_stick() -> None:
     assert world.x[2] > depth + 0.1
 
 
-def test_a_negative_vertical_stick_tells_its_convention() -> None:
-    world = afloat()
+def test_a_negative_vertical_stick_tells_its_convention(world: PilotedWorld) -> None:
     world.mode(ALTITUDE)
     depth = world.x[2]
     world.inbox.clear()
@@ -145,8 +147,7 @@ def test_a_negative_vertical_stick_tells_its_convention() -> None:
     assert world.x[2] > depth + 0.1
 
 
-def test_channels_are_sticks_and_one_pilot_steers_at_a_time() -> None:
-    world = afloat()
+def test_channels_are_sticks_and_one_pilot_steers_at_a_time(world: PilotedWorld) -> None:
     world.mode(POSITION)
     north = world.x[0]
     none = 65535
@@ -297,8 +298,7 @@ def test_a_position_that_is_lost_does_not_take_the_sticks_away_and_one_that_come
 # Set points
 
 
-def test_set_points_are_flown_and_their_end_is_told() -> None:
-    world = afloat()
+def test_set_points_are_flown_and_their_end_is_told(world: PilotedWorld) -> None:
     assert world.mode(OFFBOARD) == DENIED and "send set points first" in world.texts()
     place = position(-0.6, 0.5, 0.6, 0.5)
     world.stream(0.3, place)
@@ -314,8 +314,7 @@ def test_set_points_are_flown_and_their_end_is_told() -> None:
     assert world.custom_mode == HOLD
 
 
-def test_body_velocity_with_a_yaw_rate_and_heading_with_vertical_thrust() -> None:
-    world = afloat()
+def test_body_velocity_with_a_yaw_rate_and_heading_with_vertical_thrust(world: PilotedWorld) -> None:
     around = position(0, 0, 0, mask=1479, frame=8, vx=0.1, yaw_rate=0.4)
     world.stream(0.3, around)
     world.mode(OFFBOARD)
@@ -351,8 +350,7 @@ REFUSED = (
 )
 
 
-def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode() -> None:
-    world = afloat()
+def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode(world: PilotedWorld) -> None:
     for message, text in REFUSED:
         world.stream(0.3, velocity(0.0, 0.0, 0.0))
         assert world.mode(OFFBOARD) == ACCEPTED
@@ -364,8 +362,7 @@ def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode
         assert world.mode(OFFBOARD) == DENIED
 
 
-def test_a_stream_that_is_refused_is_told_once_and_counted() -> None:
-    world = afloat()
+def test_a_stream_that_is_refused_is_told_once_and_counted(world: PilotedWorld) -> None:
     actuators = mav.MAVLink_set_actuator_control_target_message(0, 0, 1, 1, [0.0] * 8)
     world.inbox.clear()
     world.stream(8.0, actuators)
@@ -414,8 +411,7 @@ def test_an_orbit_is_flown_looked_at_and_cancelled() -> None:
     assert "circle comes within" in world.texts()
 
 
-def test_depth_changes_by_command() -> None:
-    world = afloat()
+def test_depth_changes_by_command(world: PilotedWorld) -> None:
     assert world.command(186, -0.8, 3.0) == ACCEPTED
     world.run(8.0)
     assert world.x[2] == pytest.approx(0.8, abs=0.05)
