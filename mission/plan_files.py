@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from autopilot.core.disk import write_whole
 from autopilot.core.errors import PlanError
 from autopilot.mission.local_plan import read_local_plan
 from autopilot.mission.plan_model import PlanFile
@@ -72,6 +73,6 @@ def write_plan(path: Path, plan: PlanFile) -> None:
         raise PlanError(f"{path}: plans are written as .plan only; give a name that ends so")
     text = write_qgc_plan(plan)
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise PlanError(f"{path}: cannot be written ({error.strerror}); check folder and rights") from error

@@ -72,7 +72,7 @@ def compare_forecasts(path: Path) -> list[ForecastRow]:
 def _flight(log: Log) -> _Flight:
     missing = [topic for topic in TOPICS if topic not in log.topics]
     if missing:
-        raise LogError(f"{log.path}: has no {', '.join(missing)}; give the log of a simulated mission")
+        raise log.lacks(f"no {', '.join(missing)}", "give the log of a simulated mission")
     nav, truth, goal, progress = log["/nav/state"], log["/sim/truth"], log["/ctl/goal"], log["/mission/progress"]
     moved = np.abs(np.diff(goal["pos_ned_m"], axis=0)).max(axis=1) > NEW_GOAL_M
     begins = goal["t_us"][1:][moved & (goal["seq"][1:] >= 0)]

@@ -9,9 +9,9 @@ With these the interpolated field carries no net water into any cell: the trapez
 up to zero but for rounding.
 """
 
+import io
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -86,17 +86,18 @@ def forecast_of(truth: FlowMap, *, error: float, rng: np.random.Generator, lengt
     )
 
 
-def write_flow_map(flow: FlowMap, path: Path) -> None:
+def flow_map_bytes(flow: FlowMap) -> bytes:
     """As ``.npz`` in single precision; the same map gives the same bytes."""
-    with path.open("wb") as file:
-        np.savez_compressed(
-            file,
-            time_s=flow.time_s,
-            north_m=flow.north_m,
-            east_m=flow.east_m,
-            current_north_m_s=flow.current_north_m_s.astype(np.float32),
-            current_east_m_s=flow.current_east_m_s.astype(np.float32),
-        )
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        time_s=flow.time_s,
+        north_m=flow.north_m,
+        east_m=flow.east_m,
+        current_north_m_s=flow.current_north_m_s.astype(np.float32),
+        current_east_m_s=flow.current_east_m_s.astype(np.float32),
+    )
+    return content.getvalue()
 
 
 def _axis(length_m: float) -> FloatArray:

@@ -1,5 +1,6 @@
 """One picture of a camera calibration: where corners were found, how far off they are, view by view."""
 
+import io
 import math
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from autopilot.calibrate.calibrate_tuning import INTRINSICS
 from autopilot.calibrate.intrinsics import Coverage, Intrinsics
+from autopilot.core.disk import write_result
 
 ARROW_PX = 12.0
 """Drawn length of a residual of the size of the rms."""
@@ -68,7 +70,8 @@ def write_plot(result: Intrinsics, spread: Coverage, target: Path) -> Path:
     most = max(20.0, 1.1 * math.degrees(float(spread.tilt_rad.max())))
     tilt.set(xlabel="about y [deg]", ylabel="about x [deg]", xlim=(-most, most), ylim=(-most, most), aspect="equal")
     tilt.grid(alpha=0.3)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(target, dpi=110)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
     plt.close(figure)
+    write_result(target, picture.getvalue(), folder=True)
     return target

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from autopilot.core.disk import write_result
 from autopilot.core.errors import ConfigError
 from autopilot.core.toml_table import convert
 from autopilot.core.vehicle import Vehicle, vehicle_names
@@ -43,7 +44,7 @@ def edited(text: str, changes: Changes, source: str, origin: str, notes: Mapping
 def write_updated(vehicle: str, changes: Changes, source: str, target: Path) -> None:
     """Copy the vehicle (a shipped name or a file) to ``target`` with the changes made. ConfigError if that fails."""
     origin, text = vehicle_text(vehicle)
-    write_vehicle(target, edited(text, changes, source, origin))
+    write_result(target, edited(text, changes, source, origin))
 
 
 def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
@@ -51,15 +52,7 @@ def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
     origin, text = vehicle_text(vehicle)
     document = _parsed(text, origin)
     document["drive"]["curve"] = _parsed(curves, "curves")["drive"]["curve"]
-    write_vehicle(target, edited(document.as_string(), {}, source, origin, notes={"drive.curve": source}))
-
-
-def write_vehicle(target: Path, text: str) -> None:
-    """Write a vehicle file. ConfigError if that fails."""
-    try:
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{target}: {error.strerror}; choose another place with --out") from error
+    write_result(target, edited(document.as_string(), {}, source, origin, notes={"drive.curve": source}))
 
 
 def vehicle_text(vehicle: str) -> tuple[str, str]:

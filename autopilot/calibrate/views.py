@@ -10,6 +10,7 @@ import numpy as np
 
 from autopilot.calibrate.boards import CalibrationBoard
 from autopilot.calibrate.calibrate_tuning import VIEWS
+from autopilot.core.disk import write_result
 from autopilot.core.errors import ConfigError, DriverError, SourceError
 from autopilot.core.frames import FloatArray
 
@@ -112,8 +113,6 @@ def live_images(board: CalibrationBoard, source: str, wanted: int, folder: Path 
         )
     if not capture.isOpened():
         raise DriverError(f"camera {source}: cannot be opened; check the name (ls /dev/video*) and who else uses it")
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
     taken: list[FloatArray] = []
     before: FloatArray | None = None
     try:
@@ -130,7 +129,7 @@ def live_images(board: CalibrationBoard, source: str, wanted: int, folder: Path 
                     taken.append(place)
                     name = f"frame{number:05d}.png"
                     if folder is not None:
-                        cv2.imwrite(str(folder / name), grey)
+                        write_result(folder / name, cv2.imencode(".png", grey)[1].tobytes(), folder=True)
                     yield name, grey
             before = place
     finally:

@@ -79,10 +79,12 @@ calibrate.add_command(flight)
 @click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
 def board(sheet: Path, board: str, **spec: Any) -> None:
     """Write SHEET (.svg): a calibration board to print at true scale."""
+    from autopilot.core.disk import write_result
+
     if sheet.suffix.lower() != ".svg":
         raise click.UsageError(f"{sheet}: a sheet is an SVG file; name it .svg")
     made = _board(board, **spec)
-    _write(sheet, made.svg())
+    write_result(sheet, made.svg())
     width_m, height_m = made.spec.size_m
     click.echo(f"{sheet}: {1e3 * width_m:g} x {1e3 * height_m:g} mm; print at 100 % and measure the line below it")
 
@@ -408,12 +410,3 @@ def _keep(values: Mapping[str, Any], origin: str, vehicle: str, out: Path | None
             click.echo(f"{out}: {vehicle} with {', '.join(values)}")
     elif not quiet:
         make_console().print(snippet(values), markup=False, highlight=False)
-
-
-def _write(path: Path, text: str) -> None:
-    from autopilot.core.errors import ConfigError
-
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; choose another place") from error

@@ -73,8 +73,8 @@ def flight(
     Either from LOG, or with --connect from a flight that is made for the fence in force. Exit code 1: nothing was found
     or written. 3: a step found nothing and leaves its keys as they were.
     """
-    from autopilot.calibrate.vehicle_edit import write_vehicle
     from autopilot.calibrate.whole_flight import calibrate_flight
+    from autopilot.core.disk import write_result
 
     if (log_file is None) == (connection is None):
         raise click.UsageError("give either LOG, or --connect and --log to fly the manoeuvre")
@@ -86,7 +86,7 @@ def flight(
     assert log_file is not None
     found = calibrate_flight(log_file, vehicle, map_file)
     if found.steps:
-        write_vehicle(out, found.text)
+        write_result(out, found.text)
     if as_json:
         emit_json(_facts(log_file, found))
     else:

@@ -49,14 +49,14 @@ def b6(file: str, error: float | None, seed: int) -> None:
     """Write the current of benchmark B6 as a map, or a forecast of it."""
     import numpy as np
 
-    from autopilot.analysis.flow_maps import b6_map, forecast_of, write_flow_map
+    from autopilot.analysis.flow_maps import b6_map, flow_map_bytes, forecast_of
+    from autopilot.core.disk import write_result
 
     flow = b6_map()
     if error is not None:
         flow = forecast_of(flow, error=error, rng=np.random.default_rng(seed))
     path = Path(file)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_flow_map(flow, path)
+    write_result(path, flow_map_bytes(flow), folder=True)
     click.echo(f"{path}: {len(flow.time_s)} frames, rms {flow.rms_m_s:.3f} m/s, {path.stat().st_size // 1024} KiB")
 
 

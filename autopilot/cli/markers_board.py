@@ -44,6 +44,7 @@ def board(file: str | None, **options: Any) -> None:
     """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE.
 
     Exit 3 with warnings."""
+    from autopilot.core.disk import write_result
     from autopilot.core.marker_files import load_marker_map, marker_file_text
     from autopilot.markermaps.check_markers import map_warnings
     from autopilot.markermaps.page import pdf_bytes, svg_text
@@ -68,15 +69,14 @@ def board(file: str | None, **options: Any) -> None:
     plane = plane_of(layout, heading, pitch_m)
     pages = make_sheets(plane, paper, title)
     folder = Path(options["out"])
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "board.pdf").write_bytes(pdf_bytes(pages))
+    write_result(folder / "board.pdf", pdf_bytes(pages), folder=True)
     for number, page in enumerate(pages, start=1):
-        (folder / f"sheet-{number:03d}.svg").write_text(svg_text(page), encoding="utf-8")
+        write_result(folder / f"sheet-{number:03d}.svg", svg_text(page))
     notes = [
         f"{title}: {len(layout.ids)} markers on {len(pages)} sheets of {options['paper']}",
         "as printed; survey it once it is laid, or say with sigma_m and sigma_rad how well",
     ]
-    (folder / "map.toml").write_text(marker_file_text(on_sheets(plane, paper), notes), encoding="utf-8")
+    write_result(folder / "map.toml", marker_file_text(on_sheets(plane, paper), notes))
     click.echo(f"{folder}: {len(layout.ids)} markers on {len(pages)} sheets (board.pdf, sheet-NNN.svg), map.toml")
     click.echo("print at 100 % and measure the scale bar")
     warnings = map_warnings(layout)

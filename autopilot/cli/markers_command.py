@@ -64,6 +64,7 @@ def refine(log: str, map_path: str | None, out: str, as_json: bool) -> None:
     """Where the sheets of the map really lie, as the estimator finds them in the flight LOG."""
     import numpy as np
 
+    from autopilot.core.disk import write_result
     from autopilot.core.marker_files import load_marker_map, marker_file_text
     from autopilot.log.reader import open_log
     from autopilot.record.estimator_setup import read_markers, read_setup
@@ -96,7 +97,7 @@ def refine(log: str, map_path: str | None, out: str, as_json: bool) -> None:
             }
         )
     notes = [f"refined from {Path(log).name}"]
-    Path(out).write_text(marker_file_text(result, notes), encoding="utf-8")
+    write_result(Path(out), marker_file_text(result, notes))
     if as_json:
         emit_json({"sheets": rows, "frame_sigma": result.errors.frame_sigma})
         return

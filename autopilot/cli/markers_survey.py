@@ -68,6 +68,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     Without a map the marker seen most (or the one given with --fix) is the origin: face up, its top to the north."""
     import numpy as np
 
+    from autopilot.core.disk import write_result
     from autopilot.core.marker_files import marker_file_text
     from autopilot.markermaps.survey import survey_map
 
@@ -90,8 +91,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
             "pose given" if row.fixed else f"{row.sights} views, sigma {1e3 * row.sigma_m:.2f} mm"
             for row in result.rows
         ]
-        Path(options["out"]).parent.mkdir(parents=True, exist_ok=True)
-        Path(options["out"]).write_text(marker_file_text(result.markers, notes, remarks), encoding="utf-8")
+        write_result(Path(options["out"]), marker_file_text(result.markers, notes, remarks), folder=True)
     if as_json:
         emit_json(_survey_json(result))
     else:

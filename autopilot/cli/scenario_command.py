@@ -118,7 +118,7 @@ def new(name: str, source: str, out: Path | None) -> None:
 @click.option("--force", is_flag=True, help="Replace FILE.")
 def markers(file: str, out: Path, force: bool) -> None:
     """Write the marker map of a scenario's floor as the vehicle knows it, for a configuration's place.markers."""
-    from autopilot.core.disk import write_whole
+    from autopilot.core.disk import write_result
     from autopilot.core.errors import ConfigError
     from autopilot.core.marker_files import marker_file_text
     from autopilot.sitl.floor import given_markers
@@ -129,7 +129,7 @@ def markers(file: str, out: Path, force: bool) -> None:
     if given is None:
         raise ConfigError(f"scenario {known.scenario.name!r} has no [tank], so there is no floor with markers")
     _must_be_new(out, force)
-    write_whole(out, marker_file_text(given, (f"Floor of the scenario {known.scenario.name}.",)))
+    write_result(out, marker_file_text(given, (f"Floor of the scenario {known.scenario.name}.",)))
     click.echo(f"{out}: {len(given.ids)} markers")
 
 

@@ -5,6 +5,8 @@ import errno
 import os
 from pathlib import Path
 
+from autopilot.core.errors import ConfigError
+
 _CAUSES = {
     errno.ENOSPC: "disk full",
     errno.EDQUOT: "disk full",
@@ -34,16 +36,30 @@ def make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file that is there as a whole or, when the disk fails, as it was. OSError then."""
+    data = content.encode() if isinstance(content, str) else content
     if path.exists() and not path.is_file():  # a device or a pipe: nothing can take its place
-        path.write_text(text, encoding="utf-8")
+        path.write_bytes(data)
         return
+    path = path.resolve()  # a link stays one
     part = path.with_name(f".{path.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(data)
         os.replace(part, path)
     except OSError:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
         raise
+
+
+def write_result(path: Path, content: str | bytes, *, folder: bool = False) -> None:
+    """:func:`write_whole` for a command, with ``folder`` also its folder. ConfigError if it cannot be written."""
+    try:
+        if folder:
+            make_folder(path.parent)
+        write_whole(path, content)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be written ({error.strerror}); check folder and rights, or choose another place"
+        ) from error

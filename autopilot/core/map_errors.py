@@ -178,7 +178,7 @@ def lattices(centers_ned_m: FloatArray, yaw_rad: FloatArray) -> list[NDArray[np.
     n = len(centers_ned_m)
     if n == 1:
         return [np.zeros(1, dtype=np.int64)]
-    pitch = _usual_distance(centers_ned_m)
+    pitch = max(_usual_distance(centers_ned_m), SAME_M)
     order = np.argsort(centers_ned_m[:, 0], kind="stable")
     north = centers_ned_m[order, 0]
     ends = np.searchsorted(north, north + REACH * pitch, side="right")

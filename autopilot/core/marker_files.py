@@ -20,7 +20,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import DEPTH_SIGMA_M, PRINT_SIGMA_M, SCALE_SIGMA, SHEET_SIGMA_M, Laid, map_errors
 from autopilot.core.markers import CORNER_SIGNS, ID_SPAN, MarkerMap
-from autopilot.core.toml_table import Table, Vec3, convert, read_toml
+from autopilot.core.toml_table import Angle, Angles3, NonNegative, Sigma, Table, Vec3, convert, read_toml
 
 AMBIGUITY_M = 0.9
 """Markers of one id must lie this far apart: the estimator takes the nearest within half of it."""
@@ -36,7 +36,6 @@ NOTHING_SAID = Laid()
 
 Index = Annotated[int, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SIZE_M)]
 
 
@@ -45,13 +44,13 @@ class Defaults(Table, frozen=True, kw_only=True):
 
     dictionary: str | None = None
     size_m: Size | None = None
-    sigma_m: NonNegative | None = None
+    sigma_m: Sigma | None = None
     """How well sheets (and single markers) were laid: standard deviation of their place per axis,"""
-    sigma_rad: NonNegative | None = None
+    sigma_rad: Sigma | None = None
     """and of their heading."""
-    print_sigma_m: NonNegative = PRINT_SIGMA_M
+    print_sigma_m: Sigma = PRINT_SIGMA_M
     """Standard deviation of a marker's position on its sheet."""
-    scale_sigma: NonNegative = SCALE_SIGMA
+    scale_sigma: Sigma = SCALE_SIGMA
     """The same of the printed size, as a share of it: heights are off by that share. Measure the sheet's scale bar."""
 
 
@@ -61,7 +60,7 @@ class MapFrame(Table, frozen=True, kw_only=True):
     sigma_m: NonNegative = 0.0
     """Horizontally, per axis."""
     sigma_down_m: NonNegative = DEPTH_SIGMA_M
-    sigma_rad: NonNegative = 0.0
+    sigma_rad: Sigma = 0.0
 
 
 class MapEntry(Table, frozen=True, kw_only=True):
@@ -69,9 +68,9 @@ class MapEntry(Table, frozen=True, kw_only=True):
 
     center_m: Vec3
     """North, east, down of its middle."""
-    yaw_rad: float | None = None
+    yaw_rad: Angle | None = None
     """Where its top points, clockwise from north, when it lies face up."""
-    rpy_rad: Vec3 | None = None
+    rpy_rad: Angles3 | None = None
     """Instead: roll, pitch, yaw of its frame."""
     dictionary: str | None = None
     size_m: Size | None = None
@@ -79,9 +78,9 @@ class MapEntry(Table, frozen=True, kw_only=True):
     sheet: str | None = None
     """Name of the sheet it was printed on; without it a board is a sheet of its own, and sheets of single markers are
     found by their lattice."""
-    sigma_m: NonNegative | None = None
+    sigma_m: Sigma | None = None
     """How well that was laid, 0 = exactly."""
-    sigma_rad: NonNegative | None = None
+    sigma_rad: Sigma | None = None
 
     def __post_init__(self) -> None:
         if self.yaw_rad is not None and self.rpy_rad is not None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.core.background import BackgroundWorker
-from autopilot.core.disk import cause_of
+from autopilot.core.disk import cause_of, write_result
 from autopilot.core.errors import ConfigError
 from autopilot.core.latest_value_writer import LatestValueWriter
 from autopilot.core.params import ParamSet, ParamType, Saved
@@ -103,10 +103,7 @@ def param_text(values: Mapping[str, float], *, sysid: int = 1, more: tuple[str, 
 
 def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1) -> None:
     """Write ``values`` atomically in QGroundControl's form. ConfigError if the file cannot be written."""
-    try:
-        StateFile(path, copies=False).write(param_text(values, sysid=sysid).encode())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); check folder and rights") from error
+    write_result(path, param_text(values, sysid=sysid), folder=True)
 
 
 def kept_params(

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.toml_table import Positive, Table, Vec3
+from autopilot.core.toml_table import Place3, Positive, Table, Vec3
 
 MIN_THRUSTERS, MAX_THRUSTERS = 3, 8
 MAX_CHANNEL = 16
@@ -54,8 +54,8 @@ class ThrusterDrive(Table, frozen=True, kw_only=True):
     """
 
     kind: Literal["brushed", "curve"] = "brushed"
-    neutral_us: Annotated[int, msgspec.Meta(gt=0)]
-    span_us: Annotated[int, msgspec.Meta(gt=0)]
+    neutral_us: Annotated[int, msgspec.Meta(ge=500, le=2500)]
+    span_us: Annotated[int, msgspec.Meta(gt=0, le=1000)]
     """Pulse difference between neutral and full duty."""
     deadband_duty: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)] | None = None
     """Brushed: duty up to which it does not turn."""
@@ -65,14 +65,14 @@ class ThrusterDrive(Table, frozen=True, kw_only=True):
     """Brushed: c astern."""
     curve: Annotated[tuple[ThrustCurve, ...], msgspec.Meta(max_length=16)] = ()
     nominal_supply_v: Positive
-    time_constant_s: Positive
+    time_constant_s: Annotated[float, msgspec.Meta(gt=0.0, le=5.0)]
     power_w_n15: Positive
     """Electrical power P = this * |F|^1.5."""
     reverse_power_w_n15: Positive | None = None
     """The same astern; absent = as ahead."""
     limit_n: Positive
     """Bound on every thrust command."""
-    command_timeout_s: Positive
+    command_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
     """Outputs go to neutral when no command came for so long."""
 
     def __post_init__(self) -> None:
@@ -120,7 +120,7 @@ class ThrusterTable(Table, frozen=True, kw_only=True):
     """``[[thruster]]``: where one thruster sits and where it pushes, as the autopilot is told."""
 
     name: str
-    position_frd_m: Vec3
+    position_frd_m: Place3
     direction_frd: Vec3
     """Where it pushes the vehicle, of any length."""
     channel: Annotated[int, msgspec.Meta(ge=1, le=MAX_CHANNEL)] | None = None

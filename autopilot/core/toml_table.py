@@ -12,8 +12,20 @@ from autopilot.core.errors import ConfigError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Delay = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+"""Seconds within the estimator's history; milliseconds are beyond."""
+Rate = Annotated[float, msgspec.Meta(ge=0.1, le=10_000.0)]
+Sigma = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+"""Standard deviation in metres, radians, seconds, or as a share; millimetres, degrees and percent are beyond."""
+_Arm = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
+Angle = Annotated[float, msgspec.Meta(ge=-6.3, le=6.3)]
+"""Radians, one turn at most; degrees are beyond."""
 Vec2: TypeAlias = tuple[float, float]
 Vec3: TypeAlias = tuple[float, float, float]
+Place3: TypeAlias = tuple[_Arm, _Arm, _Arm]
+"""Metres on a small vehicle; millimetres are beyond."""
+Angles3: TypeAlias = tuple[Angle, Angle, Angle]
+Sigma3: TypeAlias = tuple[Sigma, Sigma, Sigma]
 Positive3: TypeAlias = tuple[Positive, Positive, Positive]
 Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
 NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]

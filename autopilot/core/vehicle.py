@@ -16,6 +16,7 @@ import numpy as np
 from autopilot.core.control_allocator import lacking_thrust
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
+from autopilot.core.lens import BrownLens
 from autopilot.core.model4 import Model4
 from autopilot.core.names import unknown
 from autopilot.core.payload import MAX_PAYLOAD
@@ -29,18 +30,27 @@ from autopilot.core.thrusters import (
     thrusters_of,
 )
 from autopilot.core.toml_table import (
+    Angles3,
+    Delay,
     NonNegative,
     NonNegative3,
     NonNegative4,
+    Place3,
     Positive,
     Positive3,
     Positive4,
+    Rate,
+    Sigma,
+    Sigma3,
     Table,
     Vec2,
     Vec3,
     convert,
     read_toml,
 )
+
+Radius = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+"""Metres of a small vehicle; millimetres are beyond."""
 
 
 class Body(Table, frozen=True, kw_only=True):
@@ -50,14 +60,14 @@ class Body(Table, frozen=True, kw_only=True):
     weight_n: Positive
     buoyancy_excess_n: float
     inertia_kg_m2: Positive3
-    center_of_buoyancy_frd_m: Vec3
+    center_of_buoyancy_frd_m: Place3
     added_mass_kg: NonNegative3
     added_inertia_kg_m2: NonNegative3
     linear_drag_n_s_m: NonNegative3
     angular_linear_drag_n_m_s: NonNegative3
     quadratic_drag_n_s2_m2: NonNegative3
     angular_quadratic_drag_n_m_s2: NonNegative3
-    thruster_offset_frd_m: dict[str, Vec3] = msgspec.field(default_factory=dict)
+    thruster_offset_frd_m: dict[str, Place3] = msgspec.field(default_factory=dict)
     """Name of a thruster -> how far from the place told it really sits, which the autopilot does not know."""
 
 
@@ -113,8 +123,9 @@ class Battery(Table, frozen=True, kw_only=True):
     """Full, at rest."""
     empty_v: Positive
     """Empty, at rest."""
-    capacity_j: Positive
-    internal_resistance_ohm: NonNegative
+    capacity_j: Annotated[float, msgspec.Meta(ge=3600.0)]
+    """One watt hour at least: a smaller number is one of watt hours."""
+    internal_resistance_ohm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
     plausible_v: tuple[NonNegative, Positive] | None = None
     """Readings below and above are refused; absent: :data:`LEAST`, :data:`MOST`."""
     low_v: Positive | None = None
@@ -146,7 +157,7 @@ class Battery(Table, frozen=True, kw_only=True):
 class Tether(Table, frozen=True, kw_only=True):
     """Quasi-static tether."""
 
-    diameter_m: NonNegative
+    diameter_m: Annotated[float, msgspec.Meta(ge=0.0, le=0.2)]
     drag_coefficient: NonNegative
     length_in_flow_m: NonNegative
     pull_n: NonNegative
@@ -154,6 +165,10 @@ class Tether(Table, frozen=True, kw_only=True):
 
 FOCAL = 0.1, 20.0
 """Of the picture's width and height: fields of view of 157 to 3 degrees."""
+FOLD_PX = 0.1
+"""A pixel that does not come back to itself within this is one of several rays, or of none."""
+LEAST_BASE_M = 0.005
+"""Of a laser beside the camera: nearer its dot stays where it is at any range."""
 RULER_SIGMA_M = 0.005
 HAND_SIGMA_RAD = 0.0175
 FOCAL_SIGMA, DISTORTION_SIGMA = 0.01, 0.1
@@ -190,26 +205,26 @@ class Camera(Table, frozen=True, kw_only=True):
 
     width_px: Annotated[int, msgspec.Meta(gt=0)]
     height_px: Annotated[int, msgspec.Meta(gt=0)]
-    rate_hz: Positive
+    rate_hz: Rate
     focal_px: tuple[Positive, Positive]
     center_px: Vec2
     distortion: tuple[float, float, float, float, float]
     """k1 k2 p1 p2 k3 (OpenCV); of a fisheye k1 k2 k3 k4 and 0."""
-    position_frd_m: Vec3
-    latency_s: NonNegative
+    position_frd_m: Place3
+    latency_s: Delay
     """Exposure to the arrival of the detection."""
-    time_offset_s: float = 0.0
+    time_offset_s: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = 0.0
     """Added to the times that pictures come with: negative when these are too late."""
-    time_offset_sigma_s: NonNegative = STAMP_SIGMA_S
+    time_offset_sigma_s: Sigma = STAMP_SIGMA_S
     """Standard deviation of that: positions are off by so much times the velocity."""
-    focal_sigma: NonNegative = FOCAL_SIGMA
+    focal_sigma: Sigma = FOCAL_SIGMA
     """Standard deviation of the focal length, as a share of it: heights are off by that share."""
-    distortion_sigma: NonNegative = DISTORTION_SIGMA
+    distortion_sigma: Sigma = DISTORTION_SIGMA
     """The same of the distortion. A level picture shows both together only."""
-    mounting_rpy_rad: Vec3 = (0.0, 0.0, 0.0)
+    mounting_rpy_rad: Angles3 = (0.0, 0.0, 0.0)
     """How the camera is turned from looking straight down: roll, pitch, yaw about the body's axes."""
-    position_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = (RULER_SIGMA_M,) * 3
-    mounting_sigma_rad: tuple[NonNegative, NonNegative, NonNegative] = (HAND_SIGMA_RAD,) * 3
+    position_sigma_m: Sigma3 = (RULER_SIGMA_M,) * 3
+    mounting_sigma_rad: Sigma3 = (HAND_SIGMA_RAD,) * 3
     """Standard deviations of place and turn: positions and headings are off by them."""
     model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
     """What focal length, centre and distortion belong to: a calibration in water, or with "flat_port" one in air."""
@@ -229,6 +244,20 @@ class Camera(Table, frozen=True, kw_only=True):
                         f"`{key}[{i}]` = {given[i]:g} does not fit pictures of {size}; use {least * side_px:g} to "
                         f"{most * side_px:g}: right, then down, calibrated with pictures of that size"
                     )
+        if self.model != "fisheye" and not self._lens_is_unique():
+            raise ValueError(
+                f"`distortion` = {list(self.distortion)} folds the picture over: its order is k1 k2 p1 p2 k3; calibrate"
+                ' with corners all over the picture, or give `model` = "fisheye" with k1 k2 k3 k4 and 0'
+            )
+
+    def _lens_is_unique(self) -> bool:
+        """Whether each pixel is of one ray, which the way back finds."""
+        lens, size_px = BrownLens(self.distortion), (self.width_px, self.height_px)
+        pixels = np.stack(np.meshgrid(*(np.linspace(0.0, side_px, 9) for side_px in size_px)), axis=-1)
+        bent = (pixels - self.center_px) / self.focal_px
+        with np.errstate(all="ignore"):
+            back = lens.bend(lens.unbend(bent)) - bent
+        return bool(np.all(np.abs(back) * self.focal_px < FOLD_PX))
 
 
 def _goes_down(direction_frd: Vec3) -> None:
@@ -241,10 +270,10 @@ def _goes_down(direction_frd: Vec3) -> None:
 class Laser(Table, frozen=True, kw_only=True):
     """Laser pointer beside the camera."""
 
-    position_frd_m: Vec3
+    position_frd_m: Place3
     direction_frd: Vec3 = (0.0, 0.0, 1.0)
     """Where the beam goes, of any length; straight down by default."""
-    direction_sigma_rad: NonNegative = HAND_SIGMA_RAD
+    direction_sigma_rad: Sigma = HAND_SIGMA_RAD
     """Standard deviation of its direction against the camera: ranges are off by range^2 / offset times that."""
 
     def __post_init__(self) -> None:
@@ -254,36 +283,36 @@ class Laser(Table, frozen=True, kw_only=True):
 class SensorMount(Table, frozen=True, kw_only=True):
     """Where a sensor sits, and its clock."""
 
-    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
-    time_offset_s: float = 0.0
+    position_frd_m: Place3 = (0.0, 0.0, 0.0)
+    time_offset_s: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = 0.0
     """Added to the times of samples: negative when these are too late."""
 
 
 class Ahrs(SensorMount, frozen=True, kw_only=True):
     """Attitude and heading reference system."""
 
-    position_frd_m: Vec3
-    rate_hz: Positive
-    latency_s: NonNegative
+    position_frd_m: Place3
+    rate_hz: Rate
+    latency_s: Delay
 
 
 class DepthMount(SensorMount, frozen=True, kw_only=True):
     """Pressure sensor."""
 
-    rate_hz: Positive = 10.0
-    latency_s: NonNegative = 0.02
+    rate_hz: Rate = 10.0
+    latency_s: Delay = 0.02
 
 
 class DvlMount(SensorMount, frozen=True, kw_only=True):
     """Doppler velocity log; its axes are the body's."""
 
-    rate_hz: Positive = 8.0
-    latency_s: NonNegative = 0.1
-    heading_sigma_rad: NonNegative = HAND_SIGMA_RAD
+    rate_hz: Rate = 8.0
+    latency_s: Delay = 0.1
+    heading_sigma_rad: Sigma = HAND_SIGMA_RAD
     """Standard deviation of its heading, roll and pitch against the body's,"""
-    scale_sigma: NonNegative = LOG_SCALE_SIGMA
+    scale_sigma: Sigma = LOG_SCALE_SIGMA
     """of its velocities, as a share of them (speed of sound, beam angles),"""
-    bias_sigma_m_s: NonNegative = LOG_BIAS_SIGMA_M_S
+    bias_sigma_m_s: Sigma = LOG_BIAS_SIGMA_M_S
     """and of a constant error of each axis."""
 
 
@@ -294,8 +323,8 @@ class AltimeterMount(SensorMount, frozen=True, kw_only=True):
     """Axis of its beam, of any length; straight down by default."""
     beam_width_rad: Annotated[float, msgspec.Meta(ge=0.0, le=1.6)] = 0.436
     """From edge to edge: 25 deg of a Ping Sonar."""
-    rate_hz: Positive = 10.0
-    latency_s: NonNegative = 0.05
+    rate_hz: Rate = 10.0
+    latency_s: Delay = 0.05
 
     def __post_init__(self) -> None:
         _goes_down(self.direction_frd)
@@ -304,9 +333,9 @@ class AltimeterMount(SensorMount, frozen=True, kw_only=True):
 class GpsMount(SensorMount, frozen=True, kw_only=True):
     """Antenna of a satellite receiver, above the water when the vehicle has surfaced."""
 
-    position_frd_m: Vec3 = (0.0, 0.0, -0.15)
-    rate_hz: Positive = 5.0
-    latency_s: NonNegative = 0.2
+    position_frd_m: Place3 = (0.0, 0.0, -0.15)
+    rate_hz: Rate = 5.0
+    latency_s: Delay = 0.2
 
 
 class ExternalMount(SensorMount, frozen=True, kw_only=True):
@@ -381,11 +410,11 @@ class Vehicle(Table, frozen=True, kw_only=True):
     name: str
     description: str
     hotel_power_w: NonNegative
-    radius_m: Positive
+    radius_m: Radius
     """Ball round the centre of gravity that covers the hull."""
-    hull_radius_m: Positive = 0.27
+    hull_radius_m: Radius = 0.27
     """What touches things in the simulator: upright cylinder round the centre of gravity."""
-    hull_half_height_m: Positive = 0.13
+    hull_half_height_m: Radius = 0.13
     body: Body
     model4: Model4Table
     thruster_tables: Annotated[
@@ -420,6 +449,15 @@ class Vehicle(Table, frozen=True, kw_only=True):
         for name in self.body.thruster_offset_frd_m:
             if name not in names:
                 raise ValueError(f"`body.thruster_offset_frd_m` names {name!r}, which is no `thruster`")
+        if self.camera is not None and self.laser is not None:
+            beam = np.array(self.laser.direction_frd)
+            apart_m = np.subtract(self.laser.position_frd_m, self.camera.position_frd_m)
+            base_m = float(np.linalg.norm(np.cross(apart_m, beam)) / np.linalg.norm(beam))
+            if base_m < LEAST_BASE_M:
+                raise ValueError(
+                    f"`laser.position_frd_m` = {list(self.laser.position_frd_m)} is {base_m:g} m beside the camera: its"
+                    f" dot does not show the range; give {LEAST_BASE_M:g} m at least, or leave [laser] out"
+                )
         self._check_payload()
 
     def _check_payload(self) -> None:

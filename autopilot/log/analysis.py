@@ -119,7 +119,7 @@ class FlightRecord:
         """The truth, or the estimate for a log without truth. LogError without either."""
         track = self.truth if self.truth is not None else self.nav
         if track is None:
-            raise LogError(f"{self.log.path}: has neither /sim/truth nor /nav/state; there is nothing to judge")
+            raise self.log.lacks("neither /sim/truth nor /nav/state", "there is nothing to judge")
         return track
 
     def table(self, topic: str) -> MessageTable | None:

@@ -143,6 +143,12 @@ class Log:
         data = self._contents.attachments.get(ATTACHMENT)
         return None if data is None else from_json(data, str(self.path))
 
+    def lacks(self, what: str, remedy: str) -> LogError:
+        """The error that it has not what is needed: for its damage, if there is any, else ``remedy`` says more."""
+        if self._contents.problems:
+            remedy = f"'log info' names the loss: {self._contents.problems[0]}"
+        return LogError(f"{self.path}: has {what}; {remedy}")
+
     @property
     def problems(self) -> tuple[str, ...]:
         """Damage and missing parts, empty for a sound log. Chunks are checked when they are read (:meth:`verify`)."""

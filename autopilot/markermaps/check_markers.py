@@ -75,6 +75,11 @@ def map_warnings(markers: MarkerMap) -> list[str]:
         result.append(
             "dictionaries with the same number of cells are mixed; a marker of one may be misread as one of the other"
         )
+    if markers.floor_m < -CHECK.above_m:
+        result.append(
+            f"the markers lie {-markers.floor_m:.3f} m above the water on average; down is positive: turn the sign of"
+            " the third number of center_m"
+        )
     weak = [name for name in markers.dictionaries if name in ("DICT_APRILTAG_16h5", "DICT_ARUCO_ORIGINAL")]
     if weak:
         result.append(f"{', '.join(weak)} is read by mistake more often than others; prefer DICT_APRILTAG_36h11 or 4x4")

@@ -61,6 +61,8 @@ class CheckTuning:
     """Camera heights over the floor that are searched."""
     poses: int = 400
     """Random places and headings for each height."""
+    above_m: float = 0.01
+    """Depths are measured that well: markers higher above the water are a depth with the wrong sign."""
 
 
 CHECK = CheckTuning()

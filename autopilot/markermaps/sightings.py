@@ -55,7 +55,7 @@ def views_of_log(path: Path, most: int) -> tuple[list[SheetView], Log]:
     """Up to ``most`` views evenly over the log, each with two markers or more. LogError if there are none."""
     log = open_log(path)
     if "/in/markers" not in log.topics:
-        raise LogError(f"{path}: has no marker sightings (/in/markers); record with the camera")
+        raise log.lacks("no marker sightings (/in/markers)", "record with the camera")
     table = log["/in/markers"]
     count = np.asarray(table["count"], dtype=np.int64)
     usable = np.flatnonzero(count >= SIGHTINGS.min_markers)

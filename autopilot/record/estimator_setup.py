@@ -93,7 +93,7 @@ def read_markers(attachments: Mapping[str, bytes]) -> MarkerMap | None:
 def _decoded(log: Log, name: str, kind: type) -> Any:
     data = log.attachments.get(name)
     if data is None:
-        raise LogError(f"{log.path}: has no attachment {name}; replay needs a log of this version or later")
+        raise log.lacks(f"no attachment {name}", "replay needs a log of this version or later")
     try:
         return msgspec.json.decode(data, type=kind)
     except msgspec.ValidationError as error:

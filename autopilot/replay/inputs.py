@@ -127,7 +127,7 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
     """
     for topic in (TICK, THRUST):
         if topic not in log:
-            raise LogError(f"{log.path}: has no {topic}, which replay needs; record the run with this version")
+            raise log.lacks(f"no {topic}, which replay needs", "record the run with this version")
     topics = [TICK, THRUST, *(topic for topic in (*READERS, *OTHERS) if topic in log)]
     log.load(topics)
     require_start(log)

@@ -5,7 +5,6 @@ from collections import defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from typing import Any
 
-from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import Sample
 from autopilot.log.packing.record_values import ALL_LINKS
@@ -29,9 +28,7 @@ class ServiceInputs:
     def __init__(self, log: Log) -> None:
         self._log = log
         if TICK not in log:
-            raise LogError(
-                f"{log.path}: has no messages on {TICK}, which replay needs; record the run with this version"
-            )
+            raise log.lacks(f"no messages on {TICK}, which replay needs", "record the run with this version")
         # What stands below /nav/ was made of a sample by the service, which makes it again.
         inputs = (topic for topic in (NOTES, *SAMPLES) if topic.startswith("/in/"))
         self._topics = [TICK, *(topic for topic in inputs if topic in log)]

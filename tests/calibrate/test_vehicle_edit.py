@@ -55,7 +55,7 @@ def test_snippet_is_toml() -> None:
 def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="focal_px"):
         write_updated("lbv150", {"camera.focal_px": [-1.0, 2.0]}, "s", tmp_path / "x.toml")
-    with pytest.raises(ConfigError, match="--out"):
+    with pytest.raises(ConfigError, match="another place"):
         write_updated("lbv150", CHANGES, "s", tmp_path / "none" / "x.toml")
     with pytest.raises(ConfigError, match=r"missing\.toml: No such file or directory; name its file by --vehicle"):
         write_updated(str(tmp_path / "missing.toml"), CHANGES, "s", tmp_path / "x.toml")

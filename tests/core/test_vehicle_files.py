@@ -121,6 +121,17 @@ BAD = {
     "centre of a part": ("bluerov2", "m['camera']['center_px'][0] = -3.0", ("center_px[0]", "-3", "use 0 to")),
     "focal length in metres": ("lbv150", "m['camera']['focal_px'] = [0.8, 0.8]", ("focal_px[0]", "0.8", "use ")),
     "size of the sensor": ("bluerov2", "m['camera']['width_px'] = 64000", ("focal_px", "64000 x ")),
+    "lens of a fisheye": (
+        "lbv150",
+        "m['camera']['distortion'] = [0.05, -0.01, 0.3, -0.5, 0.0]",
+        ("k1 k2 p1 p2",),
+    ),
+    "lens swapped": ("lbv150", "m['camera']['distortion'] = [-2.0, 0.0, 0.0, 0.0, 0.0]", ("distortion", "folds")),
+    "laser in the lens": (
+        "lbv150",
+        "m['laser']['position_frd_m'] = [0.0, 0.0, 0.0]",
+        ("laser.position_frd", "range"),
+    ),
     "levelling nought": ("bluerov2", "m['levelling']['inertia_kg_m2'] = [0.0, 1.0]", ("inertia_kg_m2", "> 0")),
 }
 
@@ -132,6 +143,43 @@ def test_mistakes_are_told_in_one_line(tmp_path: Path, name: str) -> None:
     _change(made, change)
     text = refusal(tmp_path, made)
     assert all(part in text for part in says), text
+
+
+OTHER_UNITS = {
+    "camera.mounting_rpy_rad": [0.0, 0.0, 90.0],
+    "camera.position_frd_m": [0.0, 0.0, 100.0],
+    "camera.latency_s": 60.0,
+    "camera.time_offset_s": -60.0,
+    "camera.time_offset_sigma_s": 5.0,
+    "camera.rate_hz": 0.033,
+    "camera.focal_sigma": 2.0,
+    "camera.mounting_sigma_rad": [2.0, 2.0, 2.0],
+    "camera.position_sigma_m": [5.0, 5.0, 5.0],
+    "laser.position_frd_m": [0.0, 50.0, 100.0],
+    "ahrs.latency_s": 15.0,
+    "ahrs.rate_hz": 0.01,
+    "depth_sensor.position_frd_m": [0.0, 0.0, -40.0],
+    "dvl.heading_sigma_rad": 2.0,
+    "radius_m": 300.0,
+    "hull_radius_m": 27.0,
+    "body.center_of_buoyancy_frd_m": [0.0, 0.0, -20.0],
+    "tether.diameter_m": 7.6,
+    "battery.capacity_j": 100.0,
+    "battery.internal_resistance_ohm": 50.0,
+    "drive.time_constant_s": 150.0,
+    "drive.command_timeout_s": 500.0,
+    "drive.span_us": 4000,
+}
+
+
+@pytest.mark.parametrize("key", OTHER_UNITS)
+def test_a_number_in_another_unit_is_refused_with_the_range(tmp_path: Path, key: str) -> None:
+    made = tables("lbv150")
+    *parts, name = key.split(".")
+    table = made.setdefault(parts[0], {}) if parts else made
+    table[name] = OTHER_UNITS[key]
+    text = refusal(tmp_path, made)
+    assert key in text and ("<=" in text or ">=" in text), text
 
 
 def test_order_does_not_matter(tmp_path: Path) -> None:

@@ -18,12 +18,16 @@ from rosbags.rosbag2 import Reader
 
 from autopilot.cli.log import log as log_command
 from autopilot.core.errors import LogError
+from autopilot.log.analysis import load_flight
 from autopilot.log.check import acceptance_table
 from autopilot.log.compare import compare_logs
 from autopilot.log.container import MESSAGE, Damage, find_messages, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
+from autopilot.log.mcap_file import MAGIC
 from autopilot.log.reader import Log, open_log
 from autopilot.log.recover import RECOVERED_RECORD, recover_unfinished
+from autopilot.record.estimator_setup import read_vehicle
+from autopilot.replay.service_inputs import ServiceInputs
 
 CHECKED = ("/nav/state", "/sim/truth", "/out/thrusters")
 
@@ -187,6 +191,14 @@ def test_what_is_behind_the_end_is_told(sound: Path, tmp_path: Path, behind: byt
     assert [p for p in read_contents(joined).problems if p.startswith(f"{more} bytes behind the end")]
     done = CliRunner().invoke(log_command, ["info", str(joined)])
     assert f"{more} bytes behind" in done.output and done.exit_code == 3
+
+
+def test_what_damage_has_taken_is_not_put_down_to_another_version(sound: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(sound.read_bytes()[: len(MAGIC)])
+    for needs in (lambda log: load_flight(log).judged, ServiceInputs, read_vehicle):
+        with pytest.raises(LogError, match=r"has n.*'log info' names the loss: the file was not closed"):
+            needs(open_log(cut))
 
 
 def test_the_name_does_not_matter(sound: Path, tmp_path: Path) -> None:

@@ -49,6 +49,7 @@ def test_a_good_board(tmp_path: Path) -> None:
             BOARD + '[[marker]]\nid = 3\nsize_m = 0.1\ndictionary = "DICT_APRILTAG_16h5"\ncenter_m = [1.0, 0.0, 1.5]',
             "same number of cells are mixed",
         ),
+        (BOARD.replace("1.5]", "-1.5]"), "1.500 m above the water"),
     ],
 )
 def test_warnings(tmp_path: Path, text: str, warning: str) -> None:
@@ -60,3 +61,16 @@ def test_warnings(tmp_path: Path, text: str, warning: str) -> None:
 def test_a_wrong_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="overlap"):
         check(tmp_path, BOARD + BOARD.replace("first_id = 0", "first_id = 25"))
+
+
+@pytest.mark.parametrize("line", ["yaw_rad = 90.0", "rpy_rad = [0.0, 0.0, 90]", "sigma_m = 5.0", "sigma_rad = 2.0"])
+def test_a_number_in_another_unit_is_refused_with_the_range(tmp_path: Path, line: str) -> None:
+    with pytest.raises(ConfigError, match=r"board\[0\].{}.* it is ".format(line.split(" ")[0])):
+        check(tmp_path, BOARD + line)
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_same_marker_twice_is_refused_without_another_word(tmp_path: Path) -> None:
+    twice = '[defaults]\ndictionary = "DICT_4X4_50"\nsize_m = 0.06\n' + 2 * "[[marker]]\nid = 1\ncenter_m = [0, 0, 1]\n"
+    with pytest.raises(ConfigError, match="apart"):
+        check(tmp_path, twice)

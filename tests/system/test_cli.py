@@ -260,6 +260,12 @@ def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path)
         (("mission", "start", "missing.plan"), ("missing.plan", "check the name")),
         (("params", "check", "missing.params"), ("missing.params", "check the name")),
         (("params", "defaults", "/proc/none/all.params"), ("/proc/none/all.params", "check folder and rights")),
+        (
+            ("markers", "board", "--rows", "1", "--columns", "1", "--out", "/proc/none"),
+            ("/proc/none/", "another place"),
+        ),
+        (("currents", "b6", "/proc/none/b6.npz"), ("/proc/none/b6.npz", "another place")),
+        (("scenario", "markers", "paper-tank", "--out", "/proc/none/a.toml"), ("/proc/none/a.toml", "another place")),
         (("demo", "--laps", "1", "--out", "/proc/none"), ("/proc/none", "--out")),
         (("mission", "download", "a.plan", "--connect", NOBODY, "--patience", "0.2"), ("no vehicle heard",)),
         (("mission", "download", "a.plan", "--connect", "tcp:127.0.0.1:1"), ("tcp:127.0.0.1:1",)),
