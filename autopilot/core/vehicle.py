@@ -123,8 +123,7 @@ class Battery(Table, frozen=True, kw_only=True):
     """Full, at rest."""
     empty_v: Positive
     """Empty, at rest."""
-    capacity_j: Annotated[float, msgspec.Meta(ge=3600.0)]
-    """One watt hour at least: a smaller number is one of watt hours."""
+    capacity_j: Positive
     internal_resistance_ohm: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
     plausible_v: tuple[NonNegative, Positive] | None = None
     """Readings below and above are refused; absent: :data:`LEAST`, :data:`MOST`."""
@@ -165,8 +164,10 @@ class Tether(Table, frozen=True, kw_only=True):
 
 FOCAL = 0.1, 20.0
 """Of the picture's width and height: fields of view of 157 to 3 degrees."""
-FOLD_PX = 0.1
+FOLD_PX = 1.0
 """A pixel that does not come back to itself within this is one of several rays, or of none."""
+FOLD_RIM = 0.1
+"""Share of the picture at each side that may fold: polynomials do so where no calibration had corners."""
 LEAST_BASE_M = 0.005
 """Of a laser beside the camera: nearer its dot stays where it is at any range."""
 RULER_SIGMA_M = 0.005
@@ -251,9 +252,9 @@ class Camera(Table, frozen=True, kw_only=True):
             )
 
     def _lens_is_unique(self) -> bool:
-        """Whether each pixel is of one ray, which the way back finds."""
-        lens, size_px = BrownLens(self.distortion), (self.width_px, self.height_px)
-        pixels = np.stack(np.meshgrid(*(np.linspace(0.0, side_px, 9) for side_px in size_px)), axis=-1)
+        """Whether each pixel within the rim is of one ray, which the way back finds."""
+        lens, share = BrownLens(self.distortion), np.linspace(FOLD_RIM, 1.0 - FOLD_RIM, 9)
+        pixels = np.stack(np.meshgrid(share, share), axis=-1) * (self.width_px, self.height_px)
         bent = (pixels - self.center_px) / self.focal_px
         with np.errstate(all="ignore"):
             back = lens.bend(lens.unbend(bent)) - bent

@@ -164,7 +164,6 @@ OTHER_UNITS = {
     "hull_radius_m": 27.0,
     "body.center_of_buoyancy_frd_m": [0.0, 0.0, -20.0],
     "tether.diameter_m": 7.6,
-    "battery.capacity_j": 100.0,
     "battery.internal_resistance_ohm": 50.0,
     "drive.time_constant_s": 150.0,
     "drive.command_timeout_s": 500.0,
