@@ -13,11 +13,9 @@ corrections are recomputed (:data:`LINEAR`).
 """
 
 import operator
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgesv
 
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
@@ -73,7 +71,7 @@ class Correction(NamedTuple):
         v = update.jacobian.dot(w).T
         cv = c.dot(v)
         spread = symmetric(update.spread - v.T.dot(cv))
-        pull = cv.dot(_inverse(spread))
+        pull = cv.dot(np.linalg.inv(spread))
         behind = w - update.gain.dot(v.T)
         known = v.T.dot(e)
         after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - update.y))
@@ -81,20 +79,6 @@ class Correction(NamedTuple):
 
     def on(self, state: FilterState) -> FilterState:
         return FilterState(state.x + self.w.dot(self.e), symmetric(state.p - self.w.dot(self.c).dot(self.w.T)))
-
-
-@cache
-def _identity(size: int) -> FloatArray:
-    return np.eye(size)
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """As numpy's, bit for bit, in half of its time."""
-    _, _, result, flawed = dgesv(matrix, _identity(len(matrix)))
-    if flawed:
-        raise np.linalg.LinAlgError("singular matrix")
-    inverse: FloatArray = result
-    return inverse
 
 
 def symmetric(p: FloatArray) -> FloatArray:

@@ -15,7 +15,9 @@ def create_ekf(
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> AidedEstimator:
     """The extended Kalman filter behind :class:`autopilot.estimator.protocol.Estimator`."""
-    return AidedEstimator(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)
+    sheets = 0 if markers is None or markers.errors is None else len(markers.errors.names)
+    core = KalmanCore(current_3d=options.current_3d, sheets=sheets)
+    return AidedEstimator(core, vehicle, markers, floor_depth_m, options)
 
 
 def of_context(context: EstimatorContext) -> Estimator:

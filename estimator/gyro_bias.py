@@ -1,4 +1,4 @@
-"""Gyro bias from the corrections of the attitude: a Kalman filter with three states (filterpy).
+"""Gyro bias from the corrections of the attitude: a Kalman filter with three states.
 
 With a bias b of which b_known is subtracted the attitude drifts by R (b - b_known), and the corrections compensate
 that behind a low-pass filter L. They turn by c = -L(R (b - b_known)), hence
@@ -13,7 +13,6 @@ turn while hovering must not be taken for bias.
 import math
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.rotation import Four, Three, rows
@@ -38,8 +37,7 @@ class GyroBias:
         self._stage_s = 0.5 * tilt_s
         self._wait_s = tilt_s
         self._tilt_noise, self._heading_noise = tilt_noise, heading_noise
-        self._kalman = KalmanFilter(dim_x=3, dim_z=3)
-        self._kalman.P = SIGMA_RAD_S**2 * np.eye(3)
+        self._p = SIGMA_RAD_S**2 * np.eye(3)
         self.rad_s: Three = (0.0, 0.0, 0.0)
         self.restart()
 
@@ -96,13 +94,13 @@ class GyroBias:
         self._forget_gathered()
 
     def _learn(self, slow: FloatArray, correction: FloatArray, variance: FloatArray) -> None:
-        kalman = self._kalman
-        below_limit = kalman.P.diagonal() < SIGMA_RAD_S**2
-        kalman.predict(Q=np.diag(WALK_RAD_S_RTS**2 * self._time_s * below_limit))
+        below_limit = self._p.diagonal() < SIGMA_RAD_S**2
+        p = self._p + np.diag(WALK_RAD_S_RTS**2 * self._time_s * below_limit)
         h = slow[:, :3]
-        expected = h @ kalman.x[:, 0]
-        surprise = np.clip(slow[:, 3] - correction - expected, -MAX_RAD_S, MAX_RAD_S)
-        kalman.update((expected + surprise)[:, None], R=np.diag(variance), H=h)
-        kalman.x = np.clip(kalman.x, -MAX_RAD_S, MAX_RAD_S)
-        x, y, z = kalman.x[:, 0].tolist()
+        surprise = np.clip(slow[:, 3] - correction - h @ self.rad_s, -MAX_RAD_S, MAX_RAD_S)
+        spread = p @ h.T
+        gain = spread @ np.linalg.inv(h @ spread + np.diag(variance))
+        kept = np.eye(3) - gain @ h
+        self._p = kept @ p @ kept.T + gain @ np.diag(variance) @ gain.T  # Joseph form
+        x, y, z = np.clip(self.rad_s + gain @ surprise, -MAX_RAD_S, MAX_RAD_S).tolist()
         self.rad_s = (x, y, z)

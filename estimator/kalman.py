@@ -5,11 +5,12 @@ Where there is the library the same is computed in C (:mod:`.compiled_update`), 
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import STATES
 from autopilot.estimator.carry import PastUpdate, symmetric
 from autopilot.estimator.compiled_update import MOST, CompiledUpdate, Updated
 from autopilot.estimator.filter_core import Innovation
@@ -60,8 +61,8 @@ RELOCATED_SIGMA_VEL_M_S = 0.1
 class KalmanCore:
     """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy's predict() and update(), or as they are in C."""
 
-    def __init__(self, *, current_3d: bool = False) -> None:
-        """``current_3d``: the vertical current is a state."""
+    def __init__(self, *, current_3d: bool = False, sheets: int = 0) -> None:
+        """``current_3d``: the vertical current is a state. ``sheets``: of the map, so many may be seen at once."""
         self._motion = MotionModel()
         self._rates = [process_noise(mode, current_3d=current_3d).diagonal() for mode in sorted(ProcessNoiseMode)]
         self._sigma = INITIAL_SIGMA.copy()
@@ -72,8 +73,10 @@ class KalmanCore:
         self._noise = np.zeros(NX)
         self._addresses = self._motion.jacobian.ctypes.data, self._noise.ctypes.data
         self._compiled = CompiledUpdate.of_library()
-        self._filters: dict[int, ExtendedKalmanFilter] = {}
+        self._filters: dict[int, Any] = {}
         """filterpy's, by the number of states that the sheets of a measurement add."""
+        if self._compiled is None or STATES * sheets > MOST:
+            self._filter(0)  # filterpy is imported now, and not in flight
 
     def start(self, x: FloatArray) -> FilterState:
         return FilterState(x, np.diag(self._sigma**2))
@@ -179,8 +182,12 @@ class KalmanCore:
         distance2 = kf.mahalanobis**2
         return Updated(kf.x[:NX], symmetric(kf.P[:NX, :NX]), kf.K[:NX], kf.S, kf.SI, distance2)
 
-    def _filter(self, more: int) -> ExtendedKalmanFilter:
-        return self._filters.setdefault(more, ExtendedKalmanFilter(NX + more, 1))
+    def _filter(self, more: int) -> Any:
+        if more not in self._filters:
+            from filterpy.kalman import ExtendedKalmanFilter  # a third of the start of a service that needs it
+
+            self._filters[more] = ExtendedKalmanFilter(NX + more, 1)
+        return self._filters[more]
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         assert innovation.after is not None
