@@ -240,11 +240,19 @@ class Commander:
         return self.start_mission(None)
 
     def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
+        """Choose the item that runs next; refused under way where the mission could not be started at it."""
         self._mission.load()
         count = len(self._plans.items(PlanKind.MISSION))
         if not 0 <= seq < count:
             return denied(f"Mission item {seq} does not exist: plan has {count}")
-        self._mission.sequencer.set_current(seq, reset=reset)
+        sequencer = self._mission.sequencer
+        before = sequencer.run_copy()
+        sequencer.set_current(seq, reset=reset)
+        under_way = self._modes.armed and self._modes.mode is FlightMode.MISSION
+        refusal = self._modes.refusal(FlightMode.MISSION) if under_way else None
+        if refusal is not None:
+            sequencer.restore_run(before)
+            return refusal
         return ACCEPTED
 
     def stand_at(self, position: Position) -> None:

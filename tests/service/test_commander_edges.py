@@ -1,5 +1,7 @@
 """Commander: failsafes among themselves, taking over, braking, home, and plans that change under way."""
 
+import itertools
+
 import numpy as np
 import pytest
 from commander_bench import OK, Bench
@@ -207,8 +209,8 @@ def test_a_start_at_an_item_is_judged_from_that_item_and_leaves_the_mission_alon
     bench.run()
     assert bench.commander.start_mission(1).result is OK, bench.texts
     assert bench.run().progress.current_seq == 1
-    for first_seq in (0, 7):
-        assert bench.commander.start_mission(first_seq).result is CommandResult.DENIED
+    for order, seq in itertools.product((bench.commander.start_mission, bench.commander.set_current_item), (0, 7)):
+        assert order(seq).result is CommandResult.DENIED
         assert bench.run().progress.current_seq == 1
         assert bench.commander.mode is FlightMode.MISSION
 
