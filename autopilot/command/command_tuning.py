@@ -82,7 +82,7 @@ MAP_CHECK = MapCheckTuning()
 
 @dataclass(frozen=True, slots=True)
 class MissionRunTuning:
-    shortfall_s: float = 10.0
+    shortfall_s: float = 8.0
     """Longest time without progress towards a goal that the current puts out of reach: longer than a gust."""
     upstream_us: int = 5_000_000
     """Interval at which the speed made good on the present leg is checked: a vehicle at rest does not know the
