@@ -112,7 +112,7 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
 
         def path() -> Path:
             if fixed is None:
-                return log_path(folder, time.time_ns())
+                return log_path(folder, time.time_ns(), last=bool(quota_bytes))  # the first by name are removed
             return fixed if at_start else free_path(fixed)
 
         head, description = contents.head(path, remove_old), contents.description()
