@@ -42,7 +42,15 @@ def _written(folder: Path) -> tuple[Path, ServiceParts]:
     _upload(parts.plans)
     parts.plans.set_home(parts.plans.home_ned_m + np.array([1.25, -0.5, 0.0]))
     parts.commander.stand_at(
-        Position(cursor=2, reached_seq=1, lap=1, jumps_done=((3, 1),), speed_m_s=0.2, default_yaw_rad=None)
+        Position(
+            cursor=2,
+            reached_seq=1,
+            lap=1,
+            jumps_done=((3, 1),),
+            speed_m_s=0.2,
+            default_yaw_rad=None,
+            standing=(("photos by time", 1),),
+        )
     )
     kept.tick(10_000)
     kept.tick((KEEP_TICKS + 1) * 10_000)
