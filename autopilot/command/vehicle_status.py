@@ -178,16 +178,16 @@ class VehicleStatus:
             self._spoke(t_us, "power monitor")
 
     def _note_hull(self, t_us: int, sample: HullSample) -> None:
-        """The values that are there and finite."""
-        pressure_pa, temperature_c = sample.pressure_pa, sample.temperature_c
-        if not all(value is None or math.isfinite(value) for value in (pressure_pa, temperature_c)):
+        """Each of its values counts alone; one that is not finite is a fault of the sensor."""
+        given = [value for value in (sample.pressure_pa, sample.temperature_c) if value is not None]
+        if all(map(math.isfinite, given)):
+            self._spoke(t_us, "hull sensor")
+        else:
             self.note_implausible(t_us, "hull sensor")
-            return
-        self._spoke(t_us, "hull sensor")
-        if pressure_pa is not None:
-            self.hull_pa = pressure_pa
-        if temperature_c is not None:
-            self.hull_c = temperature_c
+        if sample.pressure_pa is not None and math.isfinite(sample.pressure_pa):
+            self.hull_pa = sample.pressure_pa
+        if sample.temperature_c is not None and math.isfinite(sample.temperature_c):
+            self.hull_c = sample.temperature_c
 
     def silent(self, t_us: int) -> tuple[float, str]:
         """Longest time without data [s] over the sensors that have delivered any, and which; NaN without any."""
