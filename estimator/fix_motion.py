@@ -15,7 +15,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.estimator_tuning import FIX_MOTION
 from autopilot.estimator.measurement import CHI2_999
-from autopilot.estimator.states import GYRO_BIAS, VEL
+from autopilot.estimator.states import DOWN, GYRO_BIAS, VEL
 
 FLOOR = np.array([0.002, 0.002, 0.002, 0.001])
 """[m, rad] added to the standard deviation of fixes: the part that belongs to a place on the floor."""
@@ -82,6 +82,8 @@ class FixRun:
         self._y = self._z - _turned(self._z - y, self.turned_rad)
         self._variance = FIX_MOTION.alike * (np.mean([seen.variance for seen in run], axis=0) + FLOOR**2)
         self._drift = np.array(run[-1].drift)
+        if self._drift[DOWN] > FIX_MOTION.unknown_m_s * FIX_MOTION.unknown_m_s:
+            self._variance[DOWN] = math.inf  # says nothing
         squares = float((self._since**2).sum())
         self._slope = (self._since * self._y).sum(axis=0) / squares
         self._slope_variance = self._variance / squares

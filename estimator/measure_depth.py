@@ -1,13 +1,12 @@
 """Depth by pressure: depth of the sensor plus an offset, which is a filter state."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidStatus, MarkerFit
-from autopilot.core.samples import DepthSample
+from autopilot.core.samples import DepthSample, possible_depth
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.estimator_tuning import DEPTH, EVIDENCE
@@ -18,8 +17,6 @@ from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN, one
 
 MIN_SIGMA_M = 0.003
 """Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""
-DEEPEST_M, HIGHEST_M = 12_000.0, -10.0
-"""Outside of these no vehicle has ever been."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,9 +42,7 @@ class Depth(Measurement):
 
 def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, float]) -> Depth | None:
     """The measurement of a pressure sensor's sample; None if it is malformed."""
-    if not (math.isfinite(sample.depth_m) and math.isfinite(sample.sigma_m)):
-        return None
-    if not (HIGHEST_M <= sample.depth_m <= DEEPEST_M and 0.0 <= sample.sigma_m <= MAX_SIGMA_M):
+    if not (possible_depth(sample.depth_m) and 0.0 <= sample.sigma_m <= MAX_SIGMA_M):
         return None
     return Depth(
         sensor="depth",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.samples import VelocityLock, VelocitySample
+from autopilot.core.samples import VelocityLock, VelocitySample, possible_velocity
 from autopilot.core.vehicle import DvlMount, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
@@ -29,7 +29,6 @@ from autopilot.estimator.states import (
 
 MIN_SIGMA_M_S = 0.002
 MAX_SIGMA_M_S = 5.0
-MAX_SPEED_M_S = 20.0
 ALIKE_S = 1.0
 """Errors that stay are taken for noise of so many more samples: the filter's memory of a velocity between fixes."""
 
@@ -100,7 +99,7 @@ def velocity_from_sample(sample: VelocitySample, dvl: DvlMount) -> BodyVelocity 
     if vel.shape != (3,) or sigma.shape != (3,):
         return None
     # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
-    if not (abs(vel) <= MAX_SPEED_M_S).all() or not ((sigma >= 0.0) & (sigma <= MAX_SIGMA_M_S)).all():
+    if not possible_velocity(vel) or not ((sigma >= 0.0) & (sigma <= MAX_SIGMA_M_S)).all():
         return None
     if sample.lock not in tuple(VelocityLock):
         return None

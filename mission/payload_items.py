@@ -1,7 +1,7 @@
 """Mission items for the payload: camera, its tilt, servos, relays, gripper (MAV_CMD, common.xml)."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
@@ -86,6 +86,26 @@ class TiltCamera(Order):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NothingToDo(Order):
     """Requests the camera's only mode (SET_CAMERA_MODE 0)."""
+
+
+BY_TIME, BY_DISTANCE, TILT = "photos by time", "photos by distance", "tilt"
+"""Kinds of orders that stay in force; pulses and relays are not given again, as they may move things."""
+
+
+def stays(order: Order) -> Mapping[str, bool]:
+    """Kinds that an order changes, and whether it stays in force there."""
+    match order:
+        case Shoot(count=1):
+            return {}
+        case Shoot():
+            return {BY_TIME: order.count is None}
+        case ShootEvery():
+            return {BY_DISTANCE: order.distance_m > 0.0}
+        case StopShooting():
+            return {BY_TIME: False, BY_DISTANCE: False}
+        case TiltCamera():
+            return {TILT: True}
+    return {}
 
 
 def start_capture(item: PlanItem, origin: Origin) -> Step:

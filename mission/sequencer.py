@@ -35,6 +35,7 @@ from autopilot.mission.items import (
     Wait,
     flown_order,
 )
+from autopilot.mission.payload_items import stays
 from autopilot.mission.step_goals import RunMemory, StepGoals
 from autopilot.mission.step_goals import is_inside as is_inside
 
@@ -78,6 +79,8 @@ class Position:
     speed_m_s: float | None
     default_yaw_rad: float | None
     facing_ned_m: tuple[float, float] | None = None
+    standing: tuple[tuple[str, int], ...] = ()
+    """Payload orders in force: kind, and step of the order."""
 
 
 class Sequencer:
@@ -90,6 +93,8 @@ class Sequencer:
         self._action: Action | None = None
         self._new_home: FloatArray | None = None
         self._orders: list[Order] = []
+        self._repeats = False
+        """Whether the orders in force are given again."""
         self._lap_marker = -1
 
     @property
@@ -135,7 +140,16 @@ class Sequencer:
     def run_copy(self) -> RunMemory:
         """The state of the run, for :meth:`restore_run` when an order that changes it is refused."""
         run = self._run
-        return replace(run, jumps_done=dict(run.jumps_done), flown_at_jump=dict(run.flown_at_jump))
+        return replace(
+            run,
+            jumps_done=dict(run.jumps_done),
+            flown_at_jump=dict(run.flown_at_jump),
+            standing=dict(run.standing),
+        )
+
+    def repeat_orders(self) -> None:
+        """Give the payload orders in force again when the mission goes on: disarming and restarts end them."""
+        self._repeats = True
 
     def restore_run(self, run: RunMemory) -> None:
         self._goals.run = run
@@ -152,6 +166,7 @@ class Sequencer:
         run.cursor, run.circle, run.given_up_seq = seq, None, -1
         run.entered = run.rising = run.ending = False
         run.flown_at_jump.clear()  # a jump that the operator chooses is none of a loop
+        run.standing = {kind: step for kind, step in run.standing.items() if step < seq}  # the others are to come
         if reset:
             run.jumps_done.clear()
             run.lap = 0
@@ -170,6 +185,7 @@ class Sequencer:
             speed_m_s=run.speed_m_s,
             default_yaw_rad=run.default_yaw_rad,
             facing_ned_m=None if run.facing_ned_m is None else (float(run.facing_ned_m[0]), float(run.facing_ned_m[1])),
+            standing=tuple(run.standing.items()),
         )
 
     def stand_at(self, position: Position) -> None:
@@ -180,6 +196,9 @@ class Sequencer:
         run.reached_seq, run.lap, run.jumps_done = position.reached_seq, position.lap, dict(position.jumps_done)
         run.speed_m_s, run.default_yaw_rad = position.speed_m_s, position.default_yaw_rad
         run.facing_ned_m = None if position.facing_ned_m is None else np.array(position.facing_ned_m)
+        for kind, step in position.standing:
+            self._check_seq(step)
+            run.standing[kind] = step
 
     @property
     def travelling(self) -> bool:
@@ -265,6 +284,9 @@ class Sequencer:
         """One tick. Same calls, same outputs."""
         self._reached_now, self._action, self._new_home, self._orders = [], None, None, []
         if self._run.state is ProgressState.ACTIVE:
+            if self._repeats:
+                self._repeats = False
+                self._orders += [step for k in self._run.standing.values() if isinstance(step := self._steps[k], Order)]
             self._run_steps(t_us, nav)
         run = self._run
         goal = run.goal
@@ -340,6 +362,7 @@ class Sequencer:
             self._set_heading(step, float(nav.rpy_rad[2]))
         elif isinstance(step, Order):
             self._orders.append(step)
+            self._note_standing(step)
         elif isinstance(step, RegionOfInterest):
             self._look_at(step.place_ned_m)
         elif isinstance(step, SetHome):
@@ -348,6 +371,14 @@ class Sequencer:
                 self._goals.home_ned_m = np.array(place, dtype=np.float64)
                 self._new_home = self._goals.home_ned_m
         self._advance(self._run.cursor + 1)
+
+    def _note_standing(self, order: Order) -> None:
+        standing = self._run.standing
+        for kind, there in stays(order).items():
+            if there:
+                standing[kind] = self._run.cursor
+            else:
+                standing.pop(kind, None)
 
     def _set_heading(self, step: SetHeading, yaw_rad: float) -> None:
         """The heading of later goals and, for a wait that follows, of the present one."""

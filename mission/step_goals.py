@@ -64,6 +64,8 @@ class RunMemory:
     """Jumps with a count made so far."""
     flown_at_jump: dict[int, tuple[int, int]] = field(default_factory=dict)
     """Both numbers when a jump (by its step) was last made."""
+    standing: dict[str, int] = field(default_factory=dict)
+    """Payload orders in force (by their step) of each kind: what has been started and not stopped."""
     reached_seq: int = -1
     lap: int = 0
     skipped: int = 0

@@ -205,8 +205,8 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.SENSOR,
-        condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or (power monitor) "
-        "implausible for `FS_SENS_TIME`, after it has worked",
+        condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or implausible "
+        "for `FS_SENS_TIME`, after it has worked",
         level=lambda v, f: f.silent_s,
         enter="FS_SENS_TIME",
         action="FS_SENS_ACT",

@@ -107,6 +107,7 @@ class ModeMachine:
         self.armed, self.disarms_flight_controller = True, False
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
+        self._mission.sequencer.repeat_orders()
         if self.nav is not None:
             self._mission.move_home(self.nav.pos_ned_m)
         self._under_way = False

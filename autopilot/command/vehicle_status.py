@@ -20,6 +20,8 @@ from autopilot.core.samples import (
     PowerSample,
     Sample,
     VelocitySample,
+    possible_depth,
+    possible_velocity,
 )
 from autopilot.mavlink.api import Sticks
 
@@ -158,21 +160,34 @@ class VehicleStatus:
             if sample.wet:
                 self.wet_us = t_us
         elif isinstance(sample, HullSample):
-            self._spoke(t_us, "hull sensor")
-            if sample.pressure_pa is not None:
-                self.hull_pa = sample.pressure_pa
-            if sample.temperature_c is not None:
-                self.hull_c = sample.temperature_c
+            self._note_hull(t_us, sample)
         elif isinstance(sample, PilotSample):
             self.pilot_us = t_us
         elif isinstance(sample, DepthSample):
-            self._read(t_us, "depth sensor", sample.depth_m)
-            if math.isfinite(sample.depth_m):
+            if possible_depth(sample.depth_m):
+                self._read(t_us, "depth sensor", sample.depth_m)
                 self.depth_m, self.depth_us = sample.depth_m, t_us
+            else:
+                self.note_implausible(t_us, "depth sensor")
         elif isinstance(sample, VelocitySample):
-            self._read(t_us, "velocity log", sample.vel_frd_m_s.tobytes())
+            if possible_velocity(sample.vel_frd_m_s):
+                self._read(t_us, "velocity log", sample.vel_frd_m_s.tobytes())
+            else:
+                self.note_implausible(t_us, "velocity log")
         elif isinstance(sample, PowerSample):
             self._spoke(t_us, "power monitor")
+
+    def _note_hull(self, t_us: int, sample: HullSample) -> None:
+        """Each of its values counts alone; one that is not finite is a fault of the sensor."""
+        given = [value for value in (sample.pressure_pa, sample.temperature_c) if value is not None]
+        if all(map(math.isfinite, given)):
+            self._spoke(t_us, "hull sensor")
+        else:
+            self.note_implausible(t_us, "hull sensor")
+        if sample.pressure_pa is not None and math.isfinite(sample.pressure_pa):
+            self.hull_pa = sample.pressure_pa
+        if sample.temperature_c is not None and math.isfinite(sample.temperature_c):
+            self.hull_c = sample.temperature_c
 
     def silent(self, t_us: int) -> tuple[float, str]:
         """Longest time without data [s] over the sensors that have delivered any, and which; NaN without any."""
@@ -207,4 +222,4 @@ class VehicleStatus:
         record.equal = record.equal + 1 if reading == record.reading else 0
         record.reading = reading
         if record.equal < VEHICLE_STATUS.frozen_readings:
-            record.last_us = t_us
+            record.last_us, record.how = t_us, QUIET

@@ -222,6 +222,21 @@ def plausible(power: PowerSample) -> bool:
     )
 
 
+DEEPEST_M, HIGHEST_M = 12_000.0, -10.0
+"""Outside of these no vehicle has ever been."""
+MAX_SPEED_M_S = 20.0
+
+
+def possible_depth(depth_m: float) -> bool:
+    """Whether a pressure sensor can show this; NaN it cannot."""
+    return HIGHEST_M <= depth_m <= DEEPEST_M
+
+
+def possible_velocity(vel_frd_m_s: FloatArray) -> bool:
+    """Whether a DVL can show this (3,); NaN it cannot."""
+    return bool((abs(vel_frd_m_s) <= MAX_SPEED_M_S).all())
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HullSample:
     """Pressure and temperature of the air inside the hull."""

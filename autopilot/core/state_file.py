@@ -56,13 +56,16 @@ class StateFile:
             return False
 
     def accept(self) -> None:
-        """Operator's consent to continue without a file that was set aside or is unreadable; if it cannot be renamed
-        he is asked again at the next start.
+        """Operator's consent to continue without a file that was set aside, is unreadable or missing; if it cannot be
+        renamed he is asked again at the next start.
         """
         for path in (self.path, self.damaged) if self._unread else (self.damaged,):
             with contextlib.suppress(OSError):
                 os.replace(path, self.accepted)
         self._unread = False
+        with contextlib.suppress(OSError):
+            if not self.path.exists():
+                os.replace(self.previous, self.path)
 
     def clean(self) -> None:
         """Remove partly written files of a killed service; on a read-only disk they remain, without effect."""
@@ -80,7 +83,10 @@ class StateFile:
         problems: list[str] = []
         for path in (self.path, self.previous):
             try:
-                return parse(path.read_bytes()), problems
+                content = parse(path.read_bytes())
+                if path is self.previous and not problems and not self.lost:
+                    problems.append(f"{self.path}: is missing, the copy before is in force")
+                return content, problems
             except FileNotFoundError:
                 continue
             except OSError as error:

@@ -14,6 +14,7 @@ from autopilot.core.messages import Event, Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.packer import Packer, Sink
+from autopilot.log.quota import flights
 from autopilot.log.record_table import TruthLike
 from autopilot.log.writer import LogHead, LogWriter, Payload
 
@@ -28,10 +29,18 @@ CONTROL_MESSAGES, CONTROL_BYTES = 2, 16_384
 """one control step."""
 
 
-def log_path(folder: Path, start_ns: int) -> Path:
-    """``<folder>/YYYY-MM-DD/HH_MM_SS.mcap`` (UTC) for a log that starts then; a free name if that is taken."""
+def log_path(folder: Path, start_ns: int, *, last: bool = False) -> Path:
+    """``<folder>/YYYY-MM-DD/HH_MM_SS.mcap`` (UTC) for a log that starts then; a free name if that is taken.
+
+    ``last``: in the order of names behind all flights that are there, also if the clock has been set back.
+    """
     start = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC)
-    return free_path(folder / start.strftime("%Y-%m-%d") / f"{start.strftime('%H_%M_%S')}.mcap")
+    day, time = start.strftime("%Y-%m-%d"), start.strftime("%H_%M_%S")
+    newest = flights(folder)[-1:] if last else []
+    if newest and newest[0].order >= (day, time, 1):
+        day, time, number = newest[0].order
+        return folder / day / f"{time}_{number + 1}.mcap"
+    return free_path(folder / day / f"{time}.mcap")
 
 
 def free_path(path: Path) -> Path:

@@ -106,9 +106,13 @@ class PilotInputs:
         self._press(record, msg.buttons | getattr(msg, "buttons2", 0) << 16)
 
     def on_override(self, peer: MavlinkPeer, msg: Message) -> None:
-        """RC_CHANNELS_OVERRIDE, channels as ArduSub has them: 3 up, 4 yaw, 5 ahead, 6 to starboard; no gain."""
+        """RC_CHANNELS_OVERRIDE, channels as ArduSub has them: 3 up, 4 yaw, 5 ahead, 6 to starboard; no gain. 0 on all
+        of them releases the sticks (common.xml).
+        """
         channels = (msg.chan5_raw, msg.chan6_raw, msg.chan3_raw, msg.chan4_raw)
         if not any(LEAST_US <= us <= MOST_US for us in channels):
+            if self._record is not None and self._record.peer == peer and not any(channels):
+                self._record = None
             return
         record = self._of(peer)
         if record is None:

@@ -6,6 +6,7 @@ always starts disarmed and in hold. File format: :mod:`autopilot.run.plans_forma
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -184,7 +185,9 @@ class KeptPlans(NoticeQueue):
             origin = content.origin
             plans.set_origin(Origin(lat_deg=origin.lat_deg, lon_deg=origin.lon_deg, alt_m=origin.alt_m))
         else:
-            problems.append("stored plans were made at another origin: home is set anew")
+            problems.append(
+                "stored plans were made at another origin: home is set anew, no region of interest is faced"
+            )
         mission, fence, rally = (
             tuple(plan_item(item) for item in items) for items in (content.mission, content.fence, content.rally)
         )
@@ -194,6 +197,7 @@ class KeptPlans(NoticeQueue):
         if same_place and all(math.isfinite(value) for value in content.home_ned_m):
             refusal = self._vehicle.restore_home(np.array(content.home_ned_m))
             problems += [f"stored home is not taken, set it anew: {refusal}"] if refusal else []
-        if content.position is not None and mission:
-            self._vehicle.stand_at(content.position)
+        position = content.position
+        if position is not None and mission:
+            self._vehicle.stand_at(position if same_place else replace(position, facing_ned_m=None))
         return problems

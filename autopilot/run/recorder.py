@@ -55,14 +55,14 @@ class NullRecorder:
 
 
 class RunRecorder(NoticeQueue):
-    """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming).
+    """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming, with its time).
 
     ``waits``: in lockstep a log is finished at the disarming; where time does not wait, beside the loop.
     """
 
     def __init__(
         self,
-        open_log: Callable[[], RunLog],
+        open_log: Callable[[int], RunLog],
         describe: Callable[[], tuple[RunDescription, Mapping[str, Payload]]],
         *,
         plan_revision: Callable[[], int],
@@ -78,7 +78,7 @@ class RunRecorder(NoticeQueue):
         self._per_arming = per_arming
         self._waits = waits
         self._armed = False
-        self._log: RunLog | None = None if per_arming else open_log()
+        self._log: RunLog | None = None if per_arming else open_log(0)
         self._ending: list[tuple[RunLog, bool]] = []
         """Logs being finished, and whether their problem has been reported to the operator."""
         self._dropped_before = 0
@@ -154,12 +154,12 @@ class RunRecorder(NoticeQueue):
         if self._log is not None:
             self._log.describe(t_us, *self._describe())
         elif begins:
-            self._begin()
+            self._begin(t_us)
 
-    def _begin(self) -> None:
+    def _begin(self, t_us: int) -> None:
         self._slow_reported = False
         try:
-            self._log = self._open_log()
+            self._log = self._open_log(t_us)
             self.lost = False
         except (LogError, OSError) as error:
             self.lost = True

@@ -90,7 +90,7 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
     within the tick, for reproducibility; in paced runs in the background, except a file that exists from the
     start.
     """
-    settings, epoch_ns, lockstep = world.settings, world.epoch_ns(), world.speed == 0.0
+    settings, lockstep = world.settings, world.speed == 0.0
     contents = LogContents(world, setup, parts)
     fixed = None if settings["log"] is None else Path(settings["log"])
     folder = Path(settings["log_dir"])
@@ -105,17 +105,17 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
     def remove_old() -> Sequence[Path]:
         return remove_old_logs(folder, quota_bytes) if fixed is None and quota_bytes else ()
 
-    def open_log() -> RunLog:
+    def open_log(t_us: int) -> RunLog:
         nonlocal opened
         opened += 1
         at_start = opened == 1 and fixed is not None
 
         def path() -> Path:
             if fixed is None:
-                return log_path(folder, time.time_ns())
+                return log_path(folder, time.time_ns(), last=bool(quota_bytes))  # the first by name are removed
             return fixed if at_start else free_path(fixed)
 
-        head, description = contents.head(path, remove_old), contents.description()
+        head, description, epoch_ns = contents.head(path, remove_old), contents.description(), world.epoch_ns(t_us)
         if not (lockstep or at_start):
             return open_run_log_beside(head, epoch_ns=epoch_ns, description=description, camera_period_us=period_us)
         given = head()

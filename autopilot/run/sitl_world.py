@@ -156,7 +156,7 @@ class SimulatedWorld(World):
     def open_device(self, parts: ServiceParts) -> None:
         self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.known.vehicle.thrusters))
 
-    def epoch_ns(self) -> int:
+    def epoch_ns(self, t_us: int) -> int:
         """Constant, for reproducible logs."""
         return SITL_EPOCH_NS
 

@@ -119,8 +119,8 @@ class World(ABC):
     """:attr:`KnownEnvironment.markers` stand in a file of their own."""
 
     @abstractmethod
-    def epoch_ns(self) -> int:
-        """Log time of the vehicle's time zero, called when the devices are open."""
+    def epoch_ns(self, t_us: int) -> int:
+        """Log time of the vehicle's time zero, for a log that begins at ``t_us``."""
 
     @abstractmethod
     def open_device(self, parts: ServiceParts) -> None:

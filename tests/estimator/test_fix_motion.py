@@ -23,8 +23,12 @@ DRIFT = np.array([0.02, 0.02, 0.02, 0.005]) ** 2
 FIX = np.array([0.002, 0.002, 0.001, 0.001])
 
 
-def run_of(rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], count: int = 30) -> FixRun:
-    """Fixes (n, 4) made of the true way (n, 4), from which dead reckoning drifts."""
+def run_of(
+    rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], count: int = 30, heave_m_s: float = 0.0
+) -> FixRun:
+    """Fixes (n, 4) made of the true way (n, 4), from which dead reckoning drifts.
+
+    ``heave_m_s``: standard deviation of its vertical speed, for which the other sensors correct its depth at random."""
     t_s = np.arange(count) / 30.0
     speed, swing = rng.normal(0.0, 0.2, 4), rng.normal(0.0, 0.02, 4)
     reckoned = t_s[:, None] * speed + swing * np.sin(3.0 * t_s[:, None] + rng.uniform(0.0, 6.0, 4))
@@ -32,7 +36,11 @@ def run_of(rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], 
         FIX**2 + FLOOR**2
     )
     y = z - reckoned
-    seen = [FixResidual(round(1e6 * t), z[k], y[k], FIX**2, DRIFT, False) for k, t in enumerate(t_s)]
+    drift = DRIFT
+    if heave_m_s:
+        y[:, 2] += np.cumsum(rng.normal(0.0, 0.03, count))
+        drift = np.array([*DRIFT[:2], heave_m_s**2, DRIFT[3]])
+    seen = [FixResidual(round(1e6 * t), z[k], y[k], FIX**2, drift, False) for k, t in enumerate(t_s)]
     motion = FixMotion()
     for each in seen:
         motion.add(each)
@@ -58,6 +66,17 @@ def test_what_stands_still_or_goes_its_own_way_is_denied() -> None:
     assert np.mean([run.follows and run.moves > FIX_MOTION.sure for run in still]) == 0.0
     other = [run_of(rng, lambda way: -way) for _ in range(500)]
     assert np.mean([run.follows for run in other]) < 0.02
+
+
+def test_a_vertical_speed_that_nobody_knows_does_not_count() -> None:
+    """Without a depth sensor, some seconds after the last fix: right fixes were not believed for ten seconds."""
+    rng = np.random.default_rng(4)
+    right = [run_of(rng, lambda way: way + np.array([0.5, -0.2, 0.1, 0.0]), heave_m_s=0.6) for _ in range(500)]
+    assert np.mean([run.follows for run in right]) > 0.99
+    assert np.mean([run.moves > FIX_MOTION.sure for run in right]) > 0.95
+    still = [run_of(rng, lambda way: way * 0.0, heave_m_s=0.6) for _ in range(500)]
+    assert np.mean([run.follows for run in still]) < 0.03
+    assert np.mean([run.moves > FIX_MOTION.sure for run in still]) == 0.0
 
 
 def test_a_wrong_heading_of_dead_reckoning_turns_its_way() -> None:

@@ -1,6 +1,7 @@
 """Ticks are handed to the writer's thread as they are and packed there, however late."""
 
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from autopilot.log.log_session import RunLog, SimulationRecord
 from autopilot.log.reader import open_log
 from autopilot.log.writer import LogWriter, Payload
 from autopilot.run.config import flight_settings
+from autopilot.run.hardware_session import HardwareWorld
 from autopilot.run.recorder import RunRecorder
 from autopilot.run.sitl_session import open_sitl
 
@@ -164,7 +166,7 @@ def test_what_cannot_be_packed_costs_its_tick_and_not_the_log(tmp_path: Path) ->
         LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH_NS, metadata={}, attachments={}, lossless=True), DESCRIPTION
     )
     recorder = RunRecorder(
-        lambda: log, lambda: (DESCRIPTION, {}), plan_revision=lambda: 0, truth=None, per_arming=False
+        lambda _: log, lambda: (DESCRIPTION, {}), plan_revision=lambda: 0, truth=None, per_arming=False
     )
     good, bad = outputs_of(1), outputs_of(2)
     recorder.record(*good, ())
@@ -180,12 +182,30 @@ def test_what_cannot_be_packed_costs_its_tick_and_not_the_log(tmp_path: Path) ->
     assert open_log(tmp_path / "a.mcap")["/in/tick"]["t_us"].tolist() == [10_000, 30_000, 40_000]
 
 
+def test_the_times_of_a_log_are_by_the_clock_of_its_arming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board without a clock of its own has its time set minutes after the service's start."""
+    world = HardwareWorld.__new__(HardwareWorld)
+
+    def begin(t_us: int) -> RunLog:
+        writer = LogWriter(
+            tmp_path / "a.mcap", epoch_ns=world.epoch_ns(t_us), metadata={}, attachments={}, lossless=True
+        )
+        return RunLog(writer, DESCRIPTION)
+
+    recorder = RunRecorder(begin, lambda: (DESCRIPTION, {}), plan_revision=lambda: 0, truth=None, per_arming=True)
+    set_to_ns = 1_790_000_000_000_000_000
+    monkeypatch.setattr(time, "time_ns", lambda: set_to_ns)
+    recorder.record(*outputs_of(9_000), ())
+    recorder.close()
+    assert open_log(tmp_path / "a.mcap").epoch_ns + 90_000_000_000 == set_to_ns
+
+
 def test_an_error_that_nobody_has_taken_is_told_at_the_end(tmp_path: Path) -> None:
     log = RunLog(
         LogWriter(tmp_path / "a.mcap", epoch_ns=EPOCH_NS, metadata={}, attachments={}, lossless=True), DESCRIPTION
     )
     recorder = RunRecorder(
-        lambda: log, lambda: (DESCRIPTION, {}), plan_revision=lambda: 0, truth=None, per_arming=False
+        lambda _: log, lambda: (DESCRIPTION, {}), plan_revision=lambda: 0, truth=None, per_arming=False
     )
     inputs, outputs = outputs_of(1)
     object.__setattr__(inputs, "cpu_load", "none")

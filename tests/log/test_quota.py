@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.log.lock import lock_exclusive
+from autopilot.log.log_session import log_path
 from autopilot.log.quota import flights, remove_old_logs
 
 
@@ -48,6 +50,19 @@ def test_a_full_disk_counts_though_the_quota_is_kept(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_needs_no_room(tmp_path: Path) -> None:
     assert remove_old_logs(tmp_path / "none", 0) == []
+
+
+@pytest.mark.parametrize("boot_ns", [0, 1_790_000_000_000_000_000])
+def test_flights_after_the_clock_was_set_back_are_not_the_oldest(tmp_path: Path, boot_ns: int) -> None:
+    """A board without a clock of its own begins every time at 1970, or at the time that it saved last."""
+    flown = [fly(tmp_path, "2026-11-28", f"10_00_0{n}", 1000) for n in range(3)]
+    for _ in range(12):
+        remove_old_logs(tmp_path, 3 * 1250, keep_free_bytes=0)
+        path = log_path(tmp_path, boot_ns, last=True)
+        flown.append(fly(tmp_path, path.parent.name, path.stem, 1000))
+        assert [flight.log for flight in flights(tmp_path)] == flown[-4:]
+    later = log_path(tmp_path, 1_900_000_000_000_000_000, last=True)
+    assert later == tmp_path / "2030-03-17" / "17_46_40.mcap"
 
 
 @given(sizes=st.lists(st.integers(0, 400), max_size=8), quota=st.integers(0, 1500))

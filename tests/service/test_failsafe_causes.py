@@ -260,6 +260,22 @@ def _silent() -> list[Cause]:
         )
         for name in ("depth sensor", "velocity log")
     ]
+    wrong: dict[str, Callable[[int, float], Sample]] = {
+        "depth sensor": lambda t_us, more: _depth(t_us, math.nan),
+        "velocity log": lambda t_us, more: _velocity(t_us, math.nan if t_us % 200_000 else 30.0 + more),
+        "hull sensor": lambda t_us, _: HullSample(t_us=t_us, pressure_pa=math.nan, temperature_c=20.0),
+    }
+    causes += [
+        Cause(
+            name=f"{name} implausible",
+            prepare=_also(_repeated(makers[name], True)),
+            act=_also(_repeated(make, True)),
+            not_before_s=2.7,
+            within_s=4.0,
+            **common,
+        )
+        for name, make in wrong.items()
+    ]
     dropped = Cause(
         name="power monitor silent",
         act=lambda world: setattr(world, "drop", (PowerSample,)),

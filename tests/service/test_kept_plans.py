@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,15 @@ def _written(folder: Path) -> tuple[Path, ServiceParts]:
     _upload(parts.plans)
     parts.plans.set_home(parts.plans.home_ned_m + np.array([1.25, -0.5, 0.0]))
     parts.commander.stand_at(
-        Position(cursor=2, reached_seq=1, lap=1, jumps_done=((3, 1),), speed_m_s=0.2, default_yaw_rad=None)
+        Position(
+            cursor=2,
+            reached_seq=1,
+            lap=1,
+            jumps_done=((3, 1),),
+            speed_m_s=0.2,
+            default_yaw_rad=None,
+            standing=(("photos by time", 1),),
+        )
     )
     kept.tick(10_000)
     kept.tick((KEEP_TICKS + 1) * 10_000)
@@ -65,6 +74,24 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert after.commander.mission_position == before.commander.mission_position
     assert not after.commander.armed
     assert [p.name for p in tmp_path.glob("plans.json*")] == ["plans.json"]
+
+
+def test_a_place_to_face_does_not_move_with_the_origin(tmp_path: Path) -> None:
+    path, before = _written(tmp_path)
+    position = before.commander.mission_position
+    assert position is not None
+    before.commander.stand_at(replace(position, facing_ned_m=(3.0, 1.0)))
+    kept = KeptPlans(path, before.plans, before.commander)
+    before.plans.set_home(before.plans.home_ned_m + 0.0)
+    kept.tick(10_000)
+    kept.finish()
+    for moved_deg, facing in ((0.0, (3.0, 1.0)), (1e-5, None)):
+        after = _parts(tmp_path)
+        origin = after.plans.origin
+        assert after.plans.set_origin(replace(origin, lat_deg=origin.lat_deg + moved_deg)) is None
+        KeptPlans(path, after.plans, after.commander).load()
+        assert after.commander.mission_position is not None
+        assert after.commander.mission_position.facing_ned_m == facing
 
 
 def test_progress_in_the_plan_before_is_not_kept_with_a_new_one(tmp_path: Path) -> None:

@@ -87,6 +87,44 @@ def test_a_survey_photographs_by_the_way_with_the_pose_of_each_exposure(tmp_path
     assert len(list(tmp_path.glob("run.still-*.png"))) == len(places)
 
 
+def test_a_survey_that_goes_on_after_disarming_photographs_on(tmp_path: Path) -> None:
+    """The rest of the transect was flown without photos, and nobody was told."""
+    world = CameraWorld(tmp_path)
+    world.run(0.5)
+    world.fly(survey(), 4.5)
+    assert world.command(400, 0.0) == 0
+    world.run(1.0)
+    before = len(world.stills)
+    assert 2 <= before <= 5
+    world.arm()
+    assert world.command(300, 0.0, 0.0) == 0
+    world.run(16.0)
+    assert 4 in world.reached, world.texts()
+    places = np.array([still.pos_ned_m for still in world.stills])
+    assert 7 <= len(places) <= 11 and places[:, 0].max() < 1.0
+    assert {still.seq for still in world.stills} == {1}
+    count = len(places)
+    assert world.command(400, 0.0) == 0
+    world.arm()
+    assert world.command(300, 0.0, 0.0) == 0
+    world.run(0.5)
+    assert len(world.stills) == count, "a mission that was complete begins anew"
+
+
+def test_orders_that_are_still_to_come_are_not_given_again(tmp_path: Path) -> None:
+    world = CameraWorld(tmp_path)
+    world.run(0.5)
+    world.fly(survey(), 6.0)
+    assert world.command(400, 0.0) == 0
+    world.run(1.0)
+    world.arm()
+    count = len(world.stills)
+    assert world.command(224, 0.0) == 0
+    assert world.command(300, 0.0, 0.0) == 0
+    world.run(1.0)
+    assert len(world.stills) == count
+
+
 def test_stills_by_time_in_a_mission_end_with_it(tmp_path: Path) -> None:
     world = CameraWorld(tmp_path)
     world.run(0.5)

@@ -1,12 +1,14 @@
 """What failsafes go by: jolts that are collisions, sensors that freeze, tether and energy of a plan."""
 
+import math
+
 import numpy as np
 import pytest
 
 from autopilot.command.collision import CollisionDetector
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.messages import Inputs
-from autopilot.core.samples import AhrsSample, DepthSample
+from autopilot.core.samples import AhrsSample, DepthSample, HullSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.outside import HandsBack, WeightRelease
 
@@ -46,6 +48,17 @@ def test_a_frozen_depth_is_a_silent_sensor() -> None:
         status.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
     age_s, name = status.silent(5_900_000)
     assert name == "depth sensor" and age_s == pytest.approx(2.0, abs=0.15)
+
+
+def test_half_a_hull_sensor_is_a_fault_and_its_other_half_counts() -> None:
+    status = VehicleStatus()
+    status.note_sample(0, HullSample(t_us=0, pressure_pa=90_000.0, temperature_c=20.0))
+    for tick in range(1, 40):
+        t_us = tick * 100_000
+        status.note_sample(t_us, HullSample(t_us=t_us, pressure_pa=95_000.0, temperature_c=math.nan))
+    assert (status.hull_pa, status.hull_c) == (95_000.0, 20.0)
+    age_s, name = status.silent(3_900_000)
+    assert (name, status.how_silent(name)) == ("hull sensor", "implausible") and age_s == pytest.approx(3.9)
 
 
 def test_late_ticks_are_a_share_of_the_last_second() -> None:

@@ -152,6 +152,25 @@ def test_a_damaged_file_keeps_the_vehicle_disarmed_until_it_is_accepted(
     assert vehicle.arm() == ACCEPTED, "it is known"
 
 
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.usefixtures("prepared")
+def test_a_file_that_is_gone_is_missed_where_the_copy_before_is_left(
+    session: OpenSession, tmp_path: Path, kind: str
+) -> None:
+    """A power cut on a card without a journal: an older fence, or older parameters, were in force without a word."""
+    (tmp_path / "state" / "sitl-0" / FILES[kind]).unlink()
+    for start in range(2):
+        vehicle = Vehicle(session)
+        assert any("the copy before is in force" in text for text in vehicle.greeted), vehicle.greeted
+        assert vehicle.arm() == DENIED and "STATE_ACCEPT" in vehicle.reasons(), start
+        vehicle.session.close()
+    vehicle = Vehicle(session)
+    vehicle.set_param("STATE_ACCEPT", 1, whole=True)
+    assert vehicle.arm() == ACCEPTED, vehicle.reasons()
+    vehicle.session.close()
+    assert Vehicle(session).arm() == ACCEPTED, "it is known"
+
+
 @pytest.mark.usefixtures("prepared")
 def test_a_disk_that_fills_while_the_vehicle_runs_is_a_reason_from_the_next_save_on(
     session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
