@@ -31,6 +31,11 @@ Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
 NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]
 NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegative]
 
+LEAST_SIZE, MOST_SIZE = 1e-30, 1e30
+"""Of a number that is not 0: beyond, products of a few of them overflow or vanish."""
+SHOWN = 30
+"""Characters of a number in messages."""
+
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A TOML table: immutable, unknown keys are errors."""
@@ -50,8 +55,10 @@ def parse_toml(text: str, origin: str) -> dict[str, Any]:
     """The tables of a TOML text; ConfigError begins with ``origin`` and names the line when it is not one."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also of whole numbers of thousands of digits
         raise ConfigError(f"{origin}: is not valid TOML: {error}; correct it there") from error
+    except RecursionError as error:
+        raise ConfigError(f"{origin}: is not valid TOML: it is nested too deeply; correct it") from error
 
 
 def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[Any], list[str]] = lambda _: []) -> Any:
@@ -70,9 +77,10 @@ def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[An
         of its own.
     """
     found = [
-        f"`{place}` = {value} is not a finite number; correct or remove that key"
+        f"`{place}` = {str(value)[:SHOWN]} is {'beyond any size' if abs(value) < math.inf else 'not a finite number'}"
+        "; correct or remove that key"
         for place, value in _leaves(tables, "$")
-        if isinstance(value, float) and not math.isfinite(value)
+        if isinstance(value, int | float) and value and not LEAST_SIZE <= abs(value) <= MOST_SIZE
     ]
     if not found:
         try:
