@@ -237,11 +237,33 @@ def test_recovery(sound: Path, tmp_path: Path) -> None:
     assert [r.path for r in recover_unfinished(tmp_path)] == [locked, junk]
 
 
-def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path: Path) -> None:
-    """The first chunk holds the names of the topics."""
+@given(which=st.integers(0, 5), ending=st.sampled_from(["cut off", "index damaged"]))
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_chunk_of_a_log_without_index_costs_only_itself(
+    sound: Path, tmp_path: Path, which: int, ending: str
+) -> None:
+    """Before: the first chunk alone named the topics, and all of their messages were lost with it."""
     data = bytearray(sound.read_bytes())
-    first = read_contents(sound).chunks[0]
-    data[first.offset + first.length // 2] ^= 0xFF
+    chunk, last = read_contents(sound).chunks[which], read_contents(sound).chunks[-1]
+    data[chunk.offset + chunk.length // 2] ^= 0xFF
+    if ending == "cut off":
+        del data[last.offset + last.length :]
+    else:
+        data[-100] ^= 0xFF
+    path = tmp_path / "hurt.mcap"
+    path.write_bytes(data)
+    with sound.open("rb") as file:
+        lost = len(find_messages(unpack(file, chunk)).starts)
+    assert open_log(path).message_count == open_log(sound).message_count - lost
+
+
+def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path: Path) -> None:
+    """Every chunk that holds names of topics is damaged."""
+    data = bytearray(sound.read_bytes())
+    with sound.open("rb") as file:
+        for chunk in read_contents(sound).chunks:
+            if find_messages(unpack(file, chunk)).others:
+                data[chunk.offset + chunk.length // 2] ^= 0xFF
     path = tmp_path / "cut.mcap"
     path.write_bytes(data[: len(data) * 2 // 3])
     before = path.read_bytes()
