@@ -62,9 +62,10 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
 @COPY_OUT
 def new(name: str, source: str | None, out: Path | None) -> None:
     """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
-    from autopilot.run.sitl_copy import copy_target, write_copies
+    from autopilot.run.sitl_copy import check_file_name, copy_target, write_copies
     from autopilot.run.vehicle_config import config_names, load_config
 
+    check_file_name(name)
     loaded = load_config(source or (name if name in config_names() else USUAL_CONFIG))
     target = copy_target(name, out)
     copies = {target: loaded.path.read_bytes()}

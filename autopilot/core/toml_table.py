@@ -10,6 +10,10 @@ import msgspec
 
 from autopilot.core.errors import ConfigError
 
+MOST = 1e30
+"""Of any number: products of a few of them are still finite."""
+SHOWN = 30
+"""Characters of a number in messages."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Delay = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -30,11 +34,6 @@ Positive3: TypeAlias = tuple[Positive, Positive, Positive]
 Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
 NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]
 NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegative]
-
-LEAST_SIZE, MOST_SIZE = 1e-30, 1e30
-"""Of a number that is not 0: beyond, products of a few of them overflow or vanish."""
-SHOWN = 30
-"""Characters of a number in messages."""
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -77,10 +76,10 @@ def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[An
         of its own.
     """
     found = [
-        f"`{place}` = {str(value)[:SHOWN]} is {'beyond any size' if abs(value) < math.inf else 'not a finite number'}"
-        "; correct or remove that key"
+        f"`{place}` = {str(value)[:SHOWN]} is {'too large' if abs(value) < math.inf else 'not a finite number'};"
+        " correct or remove that key"
         for place, value in _leaves(tables, "$")
-        if isinstance(value, int | float) and value and not LEAST_SIZE <= abs(value) <= MOST_SIZE
+        if isinstance(value, int | float) and not abs(value) <= MOST
     ]
     if not found:
         try:
