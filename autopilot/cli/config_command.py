@@ -10,7 +10,7 @@ import click
 
 from autopilot.cli.completion import CONFIG_NAME, SCENARIO_NAME
 from autopilot.cli.console_output import emit_json, print_table
-from autopilot.cli.shared_options import COPY_OUT, JSON
+from autopilot.cli.shared_options import COPY_OUT, INSTANCE, JSON
 
 if TYPE_CHECKING:
     from autopilot.run.config import EffectiveSettings
@@ -29,7 +29,7 @@ def config() -> None:
 @click.option(
     "--config", "file", type=CONFIG_NAME, metavar="FILE", help="What `autopilot run --config FILE` would use instead."
 )
-@click.option("--instance", default=0, show_default=True, help="Instance number (sysid 1 + N).")
+@INSTANCE
 @JSON
 def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -> None:
     """Settings, scenario and vehicle of `autopilot sitl [SCENARIO]`, or of `autopilot run --config FILE`."""
