@@ -298,6 +298,8 @@ def test_local_metres(tmp_path: Path) -> None:
         (('action = "surface"', 'action = "dive"'), "$.end.action"),
         (("lat_deg = 37.9755", "lat_deg = 95.0"), "latitude"),
         (("[origin]", "[origin"), "not valid TOML"),
+        (("x_m = 1.0", "x_m = 1e9"), "waypoint[0]: local position 1e+09"),
+        (("[[rally]]", "[[fence.polygon]]\npoints_m = []\ninclusion = true\n[[rally]]"), "fence.polygon[0].points_m"),
         (("[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790", ""), "origin"),
     ],
 )
