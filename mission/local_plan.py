@@ -85,7 +85,7 @@ class EndTable(Table, frozen=True, kw_only=True):
 class PolygonTable(Table, frozen=True, kw_only=True):
     """A vertical prism."""
 
-    points_m: list[tuple[float, float]]
+    points_m: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=3)]
     inclusion: bool = False
 
 
@@ -169,7 +169,10 @@ def _placed(
     frame: MavFrame = MavFrame.GLOBAL_RELATIVE_ALT,
 ) -> PlanItem:
     """An item at a local position; in the relative frame its altitude is minus the depth."""
-    lat, lon, _ = geodetic_from_ned(origin, np.array(pos_ned_m))
+    try:
+        lat, lon, _ = geodetic_from_ned(origin, np.array(pos_ned_m))
+    except ConfigError as error:
+        raise PlanError(f"{where}: {error}") from error
     return make_item(where, seq, frame, command, (*params, lat, lon, 0.0 - pos_ned_m[2]))
 
 

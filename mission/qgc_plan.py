@@ -44,13 +44,15 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
         File, place and remedy in one line.
     """
     try:
-        root = json.loads(text)
+        root = json.loads(text, object_pairs_hook=_once_each)
     except json.JSONDecodeError as error:
         raise PlanError(
             f"{name}: is not complete JSON (line {error.lineno}: {error.msg}); export the plan again"
         ) from error
     except ValueError as error:
         raise PlanError(f"{name}: holds a number of thousands of digits; export the plan again") from error
+    except PlanError as error:
+        raise PlanError(f"{name}: {error}; remove one of them") from error
     except RecursionError as error:
         raise PlanError(f"{name}: is nested too deeply to be a plan; export the plan again") from error
     root = _typed(root, dict, name, "the file")
@@ -68,6 +70,15 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
         rally=_rally(_get(root, "rallyPoints", dict, name, {}), f"{name}: rallyPoints"),
         home=home,
     )
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object. PlanError if it has a key twice: the earlier one, a fence perhaps, would be lost."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise PlanError(f"key {next(key for key in keys if keys.count(key) > 1)!r} stands twice in one object")
+    return table
 
 
 def _typed(value: Any, kind: type, where: str, what: str) -> Any:
@@ -143,7 +154,7 @@ def _simple_items(entries: Sequence[Any], where: str) -> Iterator[tuple[str, dic
 def _mission(mission: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
     _part_version(mission, where)
     entries = list(_simple_items(_get(mission, "items", list, where), where))
-    seq_by_jump_id = {_get(item, "doJumpId", int, here, seq + 1): seq for seq, (here, item) in enumerate(entries)}
+    jump_ids = [_get(item, "doJumpId", int, here, seq + 1) for seq, (here, item) in enumerate(entries)]
     items = []
     for seq, (here, item) in enumerate(entries):
         command = _get(item, "command", int, here)
@@ -152,9 +163,13 @@ def _mission(mission: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         if math.isnan(params[6]) and isinstance(item.get("Altitude"), int | float):
             params[6] = _float(item["Altitude"], here, "Altitude")
         if command == Command.DO_JUMP:
-            if params[0] not in seq_by_jump_id:
-                raise PlanError(f"{here}: jumps to doJumpId {params[0]:g}, which no item has; correct params[0]")
-            params[0] = float(seq_by_jump_id[int(params[0])])
+            count = jump_ids.count(params[0])
+            if count != 1:
+                have = (
+                    "which no item has; correct params[0]" if not count else f"which {count} items have; correct them"
+                )
+                raise PlanError(f"{here}: jumps to doJumpId {params[0]:g}, {have}")
+            params[0] = float(jump_ids.index(int(params[0])))
         autocontinue = _get(item, "autoContinue", bool, here, True)
         items.append(make_item(here, seq, frame, command, params, autocontinue))
     return tuple(items)
@@ -170,6 +185,8 @@ def _fence(fence: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         inclusion = _get(polygon, "inclusion", bool, here)
         command = Command.FENCE_POLYGON_VERTEX_INCLUSION if inclusion else Command.FENCE_POLYGON_VERTEX_EXCLUSION
         vertices = _get(polygon, "polygon", list, here)
+        if not vertices:
+            raise PlanError(f"{here}: polygon has no vertices, so that it is no fence; draw it again, or remove it")
         for k, vertex in enumerate(vertices):
             lat, lon = _numbers(vertex, 2, f"{here} vertex {k}", "the vertex")
             params = (float(len(vertices)), 0.0, 0.0, 0.0, lat, lon, 0.0)

@@ -13,6 +13,7 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem, begins_with_home, in_water
+from autopilot.mission.items import Command
 from autopilot.mission.plan_model import PlanFile, make_item
 
 HEADER = "QGC WPL 110"
@@ -47,6 +48,13 @@ def read_waypoints(text: str, name: str) -> PlanFile:
     items: list[PlanItem] = []
     for where, values in rows:
         items.append(make_item(where, len(items), int(values[2]), int(values[3]), values[4:11], values[11] != 0.0))
+    jumps = any(item.command == Command.DO_JUMP for item in items)
+    for number, (where, values) in enumerate(rows):
+        if jumps and values[0] != number:
+            raise PlanError(
+                f"{where}: item {number} is numbered {values[0]:g} in column 1, so that jumps do not say where to;"
+                " number the items from 0 on"
+            )
     home = None
     params = ParamSet()
     if begins_with_home(items) and not in_water(items[0], params["ORIGIN_ALT"], params):

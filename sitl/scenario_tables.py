@@ -155,7 +155,7 @@ class VortexCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="vor
     center_m: Vec2 = (0.0, 0.0)
     circulation_m2_s: float
     """Positive turns clockwise seen from above (north to east)."""
-    core_m: Positive
+    core_m: Annotated[float, msgspec.Meta(ge=0.001)]
 
 
 class ShearCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="shear"):

@@ -15,4 +15,4 @@ def _inline(value: Any) -> str:
         return "{" + ", ".join(f"{key} = {_inline(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_inline(each) for each in value) + "]"
-    return json.dumps(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # JSON's escapes are UTF-16, TOML's are not

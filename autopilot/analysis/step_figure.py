@@ -10,6 +10,7 @@ from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
 from autopilot.analysis.step_replay import ControlStepView
+from autopilot.core.disk import in_place_of
 from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Shape
 from autopilot.core.model4 import YAW, U, V
@@ -35,7 +36,8 @@ def write_step_figure(view: ControlStepView, path: Path) -> Path:
         _draw_limits(limits, view)
         figure.suptitle(f"control step at {view.t_s:.2f} s", x=0.01, ha="left")
         try:
-            figure.savefig(path, dpi=DPI, format="png")
+            with in_place_of(path) as part:
+                figure.savefig(part, dpi=DPI, format="png")
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({error.strerror}); choose another --figure") from error
     return path

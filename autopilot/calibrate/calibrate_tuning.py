@@ -58,6 +58,10 @@ FLIGHT = FlightTuning()
 class IntrinsicsTuning:
     min_views: int = 8
     """Each view brings six unknowns of its own; fewer leave focal length and distortion to chance."""
+    same_px: float = 0.5
+    """A view whose corners all are this near to those of one before adds nothing but confidence."""
+    most_rms_px: float = 5.0
+    """A fit that misses by more has taken something else for the board."""
     reject_factor: float = 2.5
     reject_floor_px: float = 0.3
     """A view whose rms is above both the factor times the median and this is left out."""

@@ -55,7 +55,14 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
     """Pinhole model with k1 k2 p1 p2 k3. ConfigError if there are too few views, if they do not determine the
     camera, or if another focal length fits as well (its sigma would then be meaningless).
     """
-    views, left_out = list(found.views), list(found.left_out)
+    views: list[BoardView] = []
+    left_out = list(found.left_out)
+    for view in found.views:
+        twin = next((other for other in views if _same(view, other)), None)
+        if twin is None:
+            views.append(view)
+        else:
+            left_out.append((view.name, f"shows the board where {twin.name} does"))
     most = round(INTRINSICS.reject_fraction * len(views))
     while True:
         if len(views) < INTRINSICS.min_views:
@@ -68,12 +75,24 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
         rms = result.view_rms_px
         worst = int(rms.argmax())
         if most == 0 or rms[worst] <= max(INTRINSICS.reject_floor_px, INTRINSICS.reject_factor * float(np.median(rms))):
+            if result.rms_px > INTRINSICS.most_rms_px:
+                raise ConfigError(
+                    f"the views do not fit one camera: {result.rms_px:.1f} px rms; check --board, --shape and"
+                    " --dictionary against the print"
+                )
             _refuse_any_focal(found, result, fix_k3)
             return result
         # One at a time: an outlier view degrades others, which fit without it.
         left_out.append((views[worst].name, f"does not fit: {rms[worst]:.2f} px rms"))
         del views[worst]
         most -= 1
+
+
+def _same(view: BoardView, other: BoardView) -> bool:
+    """Whether the corners that both show are at the same pixels."""
+    mine, theirs = np.nonzero((view.points_m[:, None] == other.points_m[None]).all(axis=2))
+    apart = view.pixels[mine] - other.pixels[theirs]
+    return len(apart) > 0 and float(np.hypot(*apart.T).max()) < INTRINSICS.same_px
 
 
 def _refuse_any_focal(found: Views, result: Intrinsics, fix_k3: bool) -> None:

@@ -56,13 +56,17 @@ class CurveFit:
 def read_table(path: Path, thruster: str | None = None) -> Readings:
     """The rows of a table, of one thruster if it holds several. ConfigError names line and column."""
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream, skipinitialspace=True))
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            table = csv.DictReader(stream, skipinitialspace=True)
+            heads, rows = table.fieldnames or (), list(table)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); give a table with {', '.join(COLUMNS)}") from error
-    missing = [name for name in COLUMNS if not rows or name not in rows[0]]
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{path}: cannot be read ({why}); give a table with {', '.join(COLUMNS)}") from error
+    missing = [name for name in COLUMNS if name not in heads]
     if missing:
-        raise ConfigError(f"{path}: has no column {missing[0]!r}; give a table with {', '.join(COLUMNS)}")
+        raise ConfigError(
+            f"{path}: has no column {missing[0]!r}; give a table with {', '.join(COLUMNS)}, commas between them"
+        )
     named = sorted({row["thruster"] for row in rows if row.get("thruster")})
     if len(named) > 1 and thruster is None:
         raise ConfigError(f"{path}: holds {', '.join(named)}; say which with --thruster")

@@ -44,7 +44,7 @@ def edited(text: str, changes: Changes, source: str, origin: str, notes: Mapping
 def write_updated(vehicle: str, changes: Changes, source: str, target: Path) -> None:
     """Copy the vehicle (a shipped name or a file) to ``target`` with the changes made. ConfigError if that fails."""
     origin, text = vehicle_text(vehicle)
-    write_result(target, edited(text, changes, source, origin))
+    _write(target, edited(text, changes, source, origin))
 
 
 def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
@@ -52,7 +52,14 @@ def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
     origin, text = vehicle_text(vehicle)
     document = _parsed(text, origin)
     document["drive"]["curve"] = _parsed(curves, "curves")["drive"]["curve"]
-    write_result(target, edited(document.as_string(), {}, source, origin, notes={"drive.curve": source}))
+    _write(target, edited(document.as_string(), {}, source, origin, notes={"drive.curve": source}))
+
+
+def _write(target: Path, text: str) -> None:
+    """ConfigError for a name that no command takes for a vehicle's: a log, perhaps, that would be lost."""
+    if target.suffix != ".toml":
+        raise ConfigError(f"{target}: vehicle files end in .toml; give --out such a name")
+    write_result(target, text)
 
 
 def vehicle_text(vehicle: str) -> tuple[str, str]:

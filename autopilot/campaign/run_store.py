@@ -18,6 +18,7 @@ import msgspec
 
 from autopilot.campaign.definition import Campaign, CampaignIdentity, first_difference
 from autopilot.campaign.results import RunResult, Task
+from autopilot.core.disk import write_whole
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
 
@@ -101,7 +102,7 @@ class Store(ResultStore[RunResult]):
         scenarios = folder / "scenarios"
         scenarios.mkdir(exist_ok=True)
         settle_identity(folder / IDENTITY, self._identity, RUNS)
-        (scenarios / self._identity.plan_name).write_text(self._identity.plan, encoding="utf-8")
+        write_whole(scenarios / self._identity.plan_name, self._identity.plan)
 
     def results(self) -> dict[int, RunResult]:
         """Finished runs of all shards in the folder, by number."""
@@ -111,7 +112,7 @@ class Store(ResultStore[RunResult]):
         """Store the scenario of a run before the flight. LogError if it cannot be written."""
         path = scenario_file(self._folder, task.run)
         try:
-            path.write_text(task.scenario_toml, encoding="utf-8")
+            write_whole(path, task.scenario_toml)
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({error.strerror}); {GO_ON}") from error
 
@@ -158,7 +159,10 @@ def read_lines(paths: Iterable[Path], kind: type[Result], key: Callable[[Result]
     """
     found: dict[Key, Result] = {}
     for path in paths:
-        whole, _, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
+        try:
+            whole, _, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
+        except OSError as error:
+            raise LogError(f"{path}: cannot be read ({error.strerror}); it holds the finished runs") from error
         for number, line in enumerate(whole.splitlines(), 1):
             if not line:
                 continue

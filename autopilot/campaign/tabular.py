@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from autopilot.campaign.results import RunResult
+from autopilot.core.disk import in_place_of
 
 Cell = float | int | bool | str | None
 
@@ -47,6 +48,10 @@ def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
     return rows
 
 
+MOST = 2**63 - 1
+"""Whole number in a Parquet file."""
+
+
 def write_tables(results: Sequence[RunResult], folder: Path) -> list[Path]:
     """``runs.csv``, and ``runs.parquet`` if pyarrow is installed; nothing without runs."""
     if not results:
@@ -54,7 +59,7 @@ def write_tables(results: Sequence[RunResult], folder: Path) -> list[Path]:
     rows = rows_of(results)
     names = list(dict.fromkeys(name for row in rows for name in row))
     written = [folder / "runs.csv"]
-    with written[0].open("w", newline="", encoding="utf-8") as file:
+    with in_place_of(written[0]) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names, restval="")
         writer.writeheader()
         writer.writerows(rows)
@@ -65,15 +70,19 @@ def write_tables(results: Sequence[RunResult], folder: Path) -> list[Path]:
         return written
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     written.append(folder / "runs.parquet")
-    pyarrow.parquet.write_table(pyarrow.table(columns), written[1], compression="zstd")
+    with in_place_of(written[1]) as part:
+        pyarrow.parquet.write_table(pyarrow.table(columns), part, compression="zstd")
     return written
 
 
 def _column(values: list[Cell]) -> list[Cell]:
-    """Of one type: a key that draws numbers and texts is text, whole numbers beside others are floating point."""
+    """Of one type: a key that draws numbers and texts is text, as are seeds of more than 64 bits; whole numbers beside
+    others are floating point.
+    """
     kinds = {type(value) for value in values if value is not None}
-    if len(kinds) <= 1:
+    long = any(isinstance(value, int) and value > MOST for value in values)
+    if len(kinds) <= 1 and not long:
         return values
-    if str in kinds:
+    if str in kinds or long:
         return [None if value is None else str(value) for value in values]
     return [math.nan if value is None else float(value) for value in values]

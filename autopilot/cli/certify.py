@@ -1,5 +1,6 @@
 """``autopilot certify``: margins of the controller to every limit, and verified goals of a plan."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from autopilot.core.vehicle import Vehicle
 
 SAMPLES, SHORT_SAMPLES = 20_000, 2_000
+MOST_M_S = 10.0
+"""Of a current: no tide is faster."""
 CURRENTS = ("0,0", "0.15,0", "0,0.15", "-0.25,0", "0,-0.3")
 
 
@@ -127,6 +130,8 @@ def _current(text: str) -> "FloatArray":
         north, east = (float(part) for part in text.split(","))
     except ValueError:
         raise click.BadParameter(f"{text!r} is no current; give NORTH,EAST in m/s, as 0.15,-0.1") from None
+    if not math.hypot(north, east) <= MOST_M_S:
+        raise click.BadParameter(f"{text!r} is no current; give NORTH,EAST in m/s, {MOST_M_S:g} m/s together at most")
     return np.array([north, east, 0.0])
 
 

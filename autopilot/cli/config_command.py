@@ -10,7 +10,7 @@ import click
 
 from autopilot.cli.completion import CONFIG_NAME, SCENARIO_NAME
 from autopilot.cli.console_output import emit_json, print_table
-from autopilot.cli.shared_options import COPY_OUT, JSON
+from autopilot.cli.shared_options import COPY_OUT, INSTANCE, JSON
 
 if TYPE_CHECKING:
     from autopilot.run.config import EffectiveSettings
@@ -29,7 +29,7 @@ def config() -> None:
 @click.option(
     "--config", "file", type=CONFIG_NAME, metavar="FILE", help="What `autopilot run --config FILE` would use instead."
 )
-@click.option("--instance", default=0, show_default=True, help="Instance number (sysid 1 + N).")
+@INSTANCE
 @JSON
 def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -> None:
     """Settings, scenario and vehicle of `autopilot sitl [SCENARIO]`, or of `autopilot run --config FILE`."""
@@ -62,9 +62,10 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
 @COPY_OUT
 def new(name: str, source: str | None, out: Path | None) -> None:
     """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
-    from autopilot.run.sitl_copy import copy_target, write_copies
+    from autopilot.run.sitl_copy import check_file_name, copy_target, write_copies
     from autopilot.run.vehicle_config import config_names, load_config
 
+    check_file_name(name)
     loaded = load_config(source or (name if name in config_names() else USUAL_CONFIG))
     target = copy_target(name, out)
     copies = {target: loaded.path.read_bytes()}

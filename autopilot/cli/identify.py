@@ -42,6 +42,9 @@ def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, comp
     from autopilot.identify.identification_report import changes, rows_of
     from autopilot.identify.record import read_windows
 
+    twice = next((log for at, log in enumerate(logs) if any(log.samefile(other) for other in logs[:at])), None)
+    if twice is not None:
+        raise click.UsageError(f"{twice} is given twice; its errors would seem smaller than they are")
     windows, base = read_windows(list(logs), None if vehicle is None else load_vehicle(vehicle))
     found = fit(windows, base.to_model())
     rows = rows_of(found, base)

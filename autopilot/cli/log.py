@@ -12,7 +12,7 @@ from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
 from autopilot.cli.log_view import view
-from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER
+from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER, not_over
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
@@ -80,6 +80,7 @@ def report(log_file: Path, out: Path | None) -> None:
     from autopilot.log.report import write_report
 
     target = out if out is not None else log_file.with_suffix(".html")
+    not_over(target, log_file)
     opened = open_log(log_file)
     click.echo(str(write_report(opened, target)))
     _tell_loss(opened)

@@ -9,7 +9,7 @@ import click
 from autopilot.cli.click_types import Finite, OneOf
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.service_options import part_name
-from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
+from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE, not_over
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +62,8 @@ def replay(
         raise click.UsageError("--set with parameters goes with neither estimator options nor --step")
     if open_loop and not parameters:
         raise click.UsageError("--open-loop needs --set NAME=VALUE with a parameter")
+    not_over(out, log_file)
+    not_over(figure, log_file)
     opened = open_log(log_file)
     if step_s is not None:
         _take_apart(opened, step_s, figure, as_json=as_json)

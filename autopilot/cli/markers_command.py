@@ -10,7 +10,7 @@ from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.markers_board import board
 from autopilot.cli.markers_survey import survey
-from autopilot.cli.shared_options import JSON
+from autopilot.cli.shared_options import JSON, not_over
 
 if TYPE_CHECKING:
     pass
@@ -70,6 +70,7 @@ def refine(log: str, map_path: str | None, out: str, as_json: bool) -> None:
     from autopilot.record.estimator_setup import read_markers, read_setup
     from autopilot.replay.estimator_replay import refined_by
 
+    not_over(Path(out), Path(log))
     flight = open_log(Path(log))
     rough = read_markers(flight.attachments) if map_path is None else load_marker_map(Path(map_path))
     result = refined_by(flight, read_setup(flight), rough)

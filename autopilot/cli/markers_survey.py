@@ -10,7 +10,7 @@ from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.markers_board import MARKER_SIZE
-from autopilot.cli.shared_options import JSON
+from autopilot.cli.shared_options import JSON, not_over
 
 if TYPE_CHECKING:
     from autopilot.core.camera import CameraModel
@@ -72,6 +72,8 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     from autopilot.core.marker_files import marker_file_text
     from autopilot.markermaps.survey import survey_map
 
+    if options["out"] is not None:
+        not_over(Path(options["out"]), *map(Path, sources))
     rough = _rough_map(**options)
     camera, views = _views(sources, rough, **options)
     fixed = np.array([_index_of(rough, text, "--fix") for text in options["fix"]], dtype=np.int64)

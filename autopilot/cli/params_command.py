@@ -47,7 +47,10 @@ def list_(as_json: bool) -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @JSON
 def check(file: Path, as_json: bool) -> None:
-    """Check a parameter file and show what differs from the defaults. Exit 3 if it has names that do not exist."""
+    """Check a parameter file and show what differs from the defaults.
+
+    Exit 3 if it has names that do not exist, or two values for one.
+    """
     from autopilot.core.errors import ConfigError
     from autopilot.core.param_file import scan_param_file
     from autopilot.core.params import ParamSet
@@ -58,17 +61,26 @@ def check(file: Path, as_json: bool) -> None:
     values = found.values
     for unknown in found.unknown:
         click.echo(f"warning: {unknown}; the line is not used", err=True)
+    for repeated in found.repeated:
+        click.echo(f"warning: {repeated}; the later one is used, remove one of them", err=True)
     defaults = ParamSet()
     different = {name: value for name, value in values.items() if defaults[name] != value}
     if as_json:
-        emit_json({"read": len(values), "different": different, "unknown": list(found.unknown)})
+        emit_json(
+            {
+                "read": len(values),
+                "different": different,
+                "unknown": list(found.unknown),
+                "repeated": list(found.repeated),
+            }
+        )
     else:
         print_table(
             f"{file}: {len(values)} parameters, {len(different)} differ from the default",
             ("name", "value", "default"),
             [(name, f"{value:g}", f"{defaults[name]:g}") for name, value in sorted(different.items())],
         )
-    if found.unknown:
+    if found.unknown or found.repeated:
         click.get_current_context().exit(EXIT_LOSS)
 
 

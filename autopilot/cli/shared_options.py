@@ -23,6 +23,14 @@ def host_and_port(ctx: click.Context, option: click.Parameter, value: str | None
     return host, int(port)
 
 
+def not_over(result: Path | None, *sources: Path) -> None:
+    """Usage error for a result that would be written over what it is made from."""
+    if result is not None and any(
+        result.exists() and source.exists() and result.samefile(source) for source in sources
+    ):
+        raise click.UsageError(f"{result} is what the result comes from, and would be lost; name another file")
+
+
 def _camera_place(ctx: click.Context, option: click.Parameter, value: str | None) -> "CameraPlace | None":
     from autopilot.sitl.camera_process import CameraPlace
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.console_output import emit_json, print_table
+from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.core.vehicle import Vehicle
+    from autopilot.core.vehicle_summary import VehicleSummary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,15 +48,26 @@ def vehicle() -> None:
 @click.argument("file")
 @JSON
 def check(file: str, as_json: bool) -> None:
-    """What the vehicle of FILE (or a shipped name) can do; exit 1, with the reason, if it cannot be flown."""
+    """What the vehicle of FILE (or a shipped name) can do.
+
+    Exit code 1, with the reason, if it cannot be flown; 3 if its tables contradict each other.
+    """
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.core.vehicle_summary import CRUISE_M_S, facts_of
+    from autopilot.core.vehicle_summary import facts_of
 
     known = load_vehicle(file)
     facts = facts_of(known)
     if as_json:
         emit_json({"name": known.name, "thrusters": [asdict(each) for each in _rows(known)], **asdict(facts)})
-        return
+    else:
+        _print(known, facts)
+    if facts.contradictions:
+        raise click.exceptions.Exit(EXIT_LOSS)
+
+
+def _print(known: "Vehicle", facts: "VehicleSummary") -> None:
+    from autopilot.core.vehicle_summary import CRUISE_M_S
+
     print_table(
         f"{known.name}: {known.description}",
         ("thruster", "channel", "position [m]", "pushes", "limit [N]", "drive"),
@@ -80,6 +92,8 @@ def check(file: str, as_json: bool) -> None:
         click.echo("roll and pitch are left to the buoyancy")
     for line in facts.missing:
         click.echo(f"missing: {line}")
+    for line in facts.contradictions:
+        click.echo(f"warning: {line}", err=True)
 
 
 @vehicle.command("list")
@@ -100,17 +114,10 @@ def list_shipped(as_json: bool) -> None:
 @click.option("--out", type=click.Path(dir_okay=False), help="File to write (default: NAME.toml).")
 def new(name: str, out: str | None) -> None:
     """Write a commented vehicle file to edit."""
-    from autopilot.core.errors import ConfigError
+    from autopilot.run.sitl_copy import check_file_name, write_copies
 
-    if not name or any(mark in name for mark in '"\\/\n') or name.endswith(".toml"):
-        raise ConfigError(f"{name!r} is no name for a vehicle; use letters, digits and dashes")
+    check_file_name(name)
     target = Path(out or f"{name}.toml")
     text = (resources.files("autopilot") / "data" / "templates" / "vehicle.toml").read_text(encoding="utf-8")
-    try:
-        with target.open("x", encoding="utf-8") as file:
-            file.write(text.replace('name = "NAME"', f'name = "{name}"', 1))
-    except FileExistsError as error:
-        raise ConfigError(f"{target} exists; choose another place with --out") from error
-    except OSError as error:
-        raise ConfigError(f"{target}: {error.strerror}; choose another place with --out") from error
+    write_copies({target: text.replace('name = "NAME"', f'name = "{name}"', 1).encode()}, target.parent)
     click.echo(f"{target}: edit it, then autopilot vehicle check {target}")

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from autopilot.core.errors import ConfigError
@@ -36,21 +37,27 @@ def make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file that is there as a whole or, when the disk fails, as it was. OSError then."""
-    data = content.encode() if isinstance(content, str) else content
+@contextlib.contextmanager
+def in_place_of(path: Path) -> Iterator[Path]:
+    """A file to write, of the same ending: complete it replaces ``path``, after an error that is as it was."""
     if path.exists() and not path.is_file():  # a device or a pipe: nothing can take its place
-        path.write_bytes(data)
+        yield path
         return
     path = path.resolve()  # a link stays one
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".part.{path.name}")
     try:
-        part.write_bytes(data)
+        yield part
         os.replace(part, path)
-    except OSError:
+    except BaseException:  # Ctrl-C, too
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
         raise
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file that is there as a whole or, when the disk fails, as it was. OSError then."""
+    with in_place_of(path) as part:
+        part.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def write_result(path: Path, content: str | bytes, *, folder: bool = False) -> None:

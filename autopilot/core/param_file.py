@@ -37,6 +37,8 @@ class ParamText:
     """What is wrong with lines that cannot be used, each with file and line."""
     unusable: tuple[str, ...] = ()
     """Those lines."""
+    repeated: tuple[str, ...] = ()
+    """Parameters that a later line gives another value, which is used, each with file and line."""
 
 
 def scan_params(text: str, origin: str) -> ParamText:
@@ -46,19 +48,25 @@ def scan_params(text: str, origin: str) -> ParamText:
     unknown: dict[str, str] = {}
     errors: list[str] = []
     unusable: list[str] = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    repeated: list[str] = []
+    for number, line in enumerate(text.removeprefix("\ufeff").splitlines(), start=1):  # editors on Windows
         place = f"{origin}:{number}"
         try:
             found = _read_line(line)
             if found is not None and found[0] not in trial:
                 unknown[f"{place}: parameter {found[0]} does not exist"] = line
             elif found is not None:
-                trial.set(*found)
-                values[found[0]] = found[1]
+                name, value = found
+                trial.set(name, value)
+                if values.get(name, value) != value:
+                    repeated.append(f"{place}: {name} = {value:g} after {name} = {values[name]:g}")
+                values[name] = value
         except ConfigError as error:
             errors.append(f"{place}: {error}")
             unusable.append(line)
-    return ParamText(values=values, unknown=unknown, errors=tuple(errors), unusable=tuple(unusable))
+    return ParamText(
+        values=values, unknown=unknown, errors=tuple(errors), unusable=tuple(unusable), repeated=tuple(repeated)
+    )
 
 
 def _read_line(line: str) -> tuple[str, float] | None:

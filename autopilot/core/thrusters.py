@@ -23,6 +23,9 @@ CONTROLLED = (0, 1, 2, 5)
 _DIGITS = 12
 """Decimals of a matrix: cos(90 deg) is 0 and not 6e-17, which the optimiser would take for a way to push."""
 
+PowerFactor = Annotated[float, msgspec.Meta(ge=1e-4, le=1e4)]
+"""Watts per newton^1.5; small thrusters need about one."""
+
 Row: TypeAlias = tuple[float, ...]
 
 
@@ -66,9 +69,9 @@ class ThrusterDrive(Table, frozen=True, kw_only=True):
     curve: Annotated[tuple[ThrustCurve, ...], msgspec.Meta(max_length=16)] = ()
     nominal_supply_v: Positive
     time_constant_s: Annotated[float, msgspec.Meta(gt=0.0, le=5.0)]
-    power_w_n15: Positive
+    power_w_n15: PowerFactor
     """Electrical power P = this * |F|^1.5."""
-    reverse_power_w_n15: Positive | None = None
+    reverse_power_w_n15: PowerFactor | None = None
     """The same astern; absent = as ahead."""
     limit_n: Positive
     """Bound on every thrust command."""

@@ -10,6 +10,10 @@ import msgspec
 
 from autopilot.core.errors import ConfigError
 
+MOST = 1e30
+"""Of any number: products of a few of them are still finite."""
+SHOWN = 30
+"""Characters of a number in messages."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Delay = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -50,8 +54,10 @@ def parse_toml(text: str, origin: str) -> dict[str, Any]:
     """The tables of a TOML text; ConfigError begins with ``origin`` and names the line when it is not one."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also of whole numbers of thousands of digits
         raise ConfigError(f"{origin}: is not valid TOML: {error}; correct it there") from error
+    except RecursionError as error:
+        raise ConfigError(f"{origin}: is not valid TOML: it is nested too deeply; correct it") from error
 
 
 def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[Any], list[str]] = lambda _: []) -> Any:
@@ -70,9 +76,10 @@ def convert(tables: dict[str, Any], kind: type, origin: str, rules: Callable[[An
         of its own.
     """
     found = [
-        f"`{place}` = {value} is not a finite number; correct or remove that key"
+        f"`{place}` = {str(value)[:SHOWN]} is {'too large' if abs(value) < math.inf else 'not a finite number'};"
+        " correct or remove that key"
         for place, value in _leaves(tables, "$")
-        if isinstance(value, float) and not math.isfinite(value)
+        if isinstance(value, int | float) and not abs(value) <= MOST
     ]
     if not found:
         try:

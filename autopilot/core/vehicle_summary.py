@@ -1,6 +1,7 @@
 """Capabilities of a vehicle by its file: authority and speed per axis, power, and missing data."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import msgspec
@@ -19,6 +20,12 @@ TILTING = 1e-6
 
 UNSOURCED = frozenset({"name", "description", "sources", "payload"})
 """Keys that need no source."""
+
+APART = 2.0
+"""Factor between two entries of one quantity from which on they contradict each other."""
+
+BUOYANCY_SHARE = 0.05
+"""The same for buoyancies, as a share of the weight."""
 
 NAMED = 8
 """So many keys without a source are named."""
@@ -44,6 +51,8 @@ class VehicleSummary:
     """Of roll and pitch those that the thrusters push independently of the controlled axes: levelled in flight."""
     missing: tuple[str, ...]
     """What the file does not say, a line each."""
+    contradictions: tuple[str, ...]
+    """Where the plant's tables and the controller's describe two vehicles, a line each."""
 
 
 def facts_of(vehicle: Vehicle) -> VehicleSummary:
@@ -63,6 +72,7 @@ def facts_of(vehicle: Vehicle) -> VehicleSummary:
         cruise_w=_power_w(vehicle, allocator, ahead),
         tilts=tilts_of(vehicle),
         missing=tuple(_missing(vehicle)),
+        contradictions=tuple(_contradictions(vehicle)),
     )
 
 
@@ -96,6 +106,41 @@ def _power_w(vehicle: Vehicle, allocator: ControlAllocator, ahead_n: float) -> f
         c = drive.power_w_n15 if thrust >= 0.0 else drive.reverse_power_w_n15 or drive.power_w_n15
         total += c * abs(thrust) ** 1.5
     return total
+
+
+def _contradictions(vehicle: Vehicle) -> Iterator[str]:
+    body, model = vehicle.body, vehicle.model4
+    same = [
+        ("model4.dry_mass_kg", model.dry_mass_kg, "body.mass_kg", body.mass_kg),
+        ("body.weight_n", body.weight_n, "body.mass_kg times 9.81", body.mass_kg * 9.81),
+    ]
+    for i, added in enumerate((*body.added_mass_kg, body.added_inertia_kg_m2[2])):
+        own, name = (body.mass_kg, "mass_kg") if i < 3 else (body.inertia_kg_m2[2], "inertia_kg_m2")
+        same.append((f"model4.mass_kg[{i}]", model.mass_kg[i], f"body.{name} and what is added", own + added))
+    for i in range(3):
+        ours, plants = (
+            linear[i] * CRUISE_M_S + quadratic[i] * CRUISE_M_S**2
+            for linear, quadratic in (
+                (model.linear_drag, model.quadratic_drag),
+                (body.linear_drag_n_s_m, body.quadratic_drag_n_s2_m2),
+            )
+        )
+        same.append((f"model4 at {CRUISE_M_S:g} m/s: drag[{i}]", ours, "body's", plants))
+    for ours_name, ours, plants_name, plants in same:
+        if not ours <= APART * plants <= APART**2 * ours:
+            yield f"{ours_name} = {ours:.4g} and {plants_name} = {plants:.4g} contradict each other; correct one"
+    if model.buoyancy_excess_n * body.buoyancy_excess_n < 0.0 or (
+        abs(model.buoyancy_excess_n - body.buoyancy_excess_n) > BUOYANCY_SHARE * body.weight_n
+    ):
+        yield (
+            f"buoyancy_excess_n = {model.buoyancy_excess_n:g} of model4 and {body.buoyancy_excess_n:g} of body"
+            " contradict each other (positive: it floats); correct one"
+        )
+    if body.center_of_buoyancy_frd_m[2] > 0.0:
+        yield (
+            f"body.center_of_buoyancy_frd_m[2] = {body.center_of_buoyancy_frd_m[2]:g} is below the centre of gravity:"
+            " it turns over; above is negative"
+        )
 
 
 def _missing(vehicle: Vehicle) -> list[str]:

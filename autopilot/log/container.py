@@ -269,11 +269,14 @@ def index_from_chunks(file: IO[bytes], contents: Contents) -> None:
 
 def unpack(file: IO[bytes], chunk: ChunkRef) -> bytes:
     """Records of a chunk, checked against its CRC. Damage if that fails."""
-    file.seek(chunk.offset)
-    raw = file.read(chunk.length)
+    where = f"the chunk at byte {chunk.offset}"
+    try:
+        file.seek(chunk.offset)
+        raw = file.read(chunk.length)
+    except OSError as error:  # of a disk that wears out: others may be sound
+        raise Damage(f"{where} cannot be read ({error.strerror})") from error
     if not chunk.packed:
         return raw
-    where = f"the chunk at byte {chunk.offset}"
     if len(raw) < PREFIX_BYTES + _CHUNK_HEAD.size or raw[0] != _CHUNK:
         raise Damage(f"{where} is damaged")
     _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(raw, PREFIX_BYTES)

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from autopilot.core.disk import make_folder
+from autopilot.core.disk import in_place_of, make_folder, write_whole
 from autopilot.core.errors import LogError, UnknownNameError
 from autopilot.core.names import did_you_mean
 from autopilot.log.message_table import Columns
@@ -63,7 +63,8 @@ def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind
                     raise
                 log.leave_out(topic, error)
                 continue
-            writer(path, columns)
+            with in_place_of(path) as part:
+                writer(part, columns)
             yield path
     except OSError as error:
         raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --out") from error
@@ -83,7 +84,7 @@ def export_stills(log: Log, folder: Path) -> Iterator[Path]:
         make_folder(folder)
         for place, image in enumerate(images):
             path = folder / f"{numbers.get(image.t_us, place):04d}.{image.value['format']}"
-            path.write_bytes(bytes(image.value["data"]))
+            write_whole(path, bytes(image.value["data"]))
             yield path
     except OSError as error:
         raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --stills") from error

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from autopilot.core.disk import make_folder
+from autopilot.core.disk import in_place_of, make_folder
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import Span, VehicleTrack, energy_j, wrap
@@ -60,7 +60,8 @@ def write_tracks(shown: Sequence[Column], path: Path) -> Path:
         figure = _plan(named, known[0][0].flights[0].run)
         try:
             make_folder(path.parent)
-            figure.savefig(path, dpi=DPI)
+            with in_place_of(path) as part:
+                figure.savefig(part, dpi=DPI)
         except (OSError, ValueError) as error:  # matplotlib raises ValueError for an unknown ending
             reason = f"({error.strerror}); choose another place" if isinstance(error, OSError) else _ENDINGS
             raise LogError(f"{path}: the figure cannot be written {reason}") from error

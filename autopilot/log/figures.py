@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from autopilot.core.disk import make_folder
+from autopilot.core.disk import in_place_of, make_folder
 from autopilot.core.errors import LogError
 from autopilot.core.names import unknown
 from autopilot.log import figure_more, figure_paper, figure_tracks
@@ -81,7 +81,8 @@ def save(figure: Figure, path: Path) -> list[Path]:
     """Write a PNG file and a PDF file of the same name."""
     paths = [path, path.with_suffix(".pdf")]
     for each in paths:
-        figure.savefig(each)
+        with in_place_of(each) as part:
+            figure.savefig(part)
     return paths
 
 

@@ -30,6 +30,8 @@ from mcap.records import (
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = "zstd"
+REPEAT_CHUNKS = 60
+"""Chunks of a log, a minute of them, after which what names its topics is written again."""
 PACKED_BYTES = 64 * 1024
 """Size of the index records of chunks that are compressed at a time: a minute of them."""
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -46,9 +48,15 @@ _INDEX = struct.Struct("<BQHI")
 class McapFile:
     """Writes records in the order of the calls. Exceptions of the stream are passed on."""
 
-    def __init__(self, stream: IO[bytes], chunk_bytes: int) -> None:
+    def __init__(self, stream: IO[bytes], chunk_bytes: int, *, repeat_chunks: int | None = None) -> None:
+        """``repeat_chunks``: schemas and channels are written again after so many chunks, and after one with new ones,
+        so that a damaged chunk of a log without its index costs only itself; None = never.
+        """
         self._stream = stream
         self._chunk_bytes = chunk_bytes
+        self._repeat_chunks = repeat_chunks
+        self._named = 0
+        """Channels that stand in two chunks at least."""
         self._chunk = bytearray()
         self._entries: dict[int, list[int]] = {}
         self._schemas: list[Schema] = []
@@ -185,6 +193,9 @@ class McapFile:
             uncompressed_size=len(records),
         )
         self._note_chunk(_record(about))
+        if self._repeat_chunks and (self._chunk_count % self._repeat_chunks == 0 or self._named < len(self._channels)):
+            self._named = len(self._channels)
+            self._chunk += _records(self._schemas) + _records(self._channels)
         self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
         self._last_ns = max(self._last_ns, last_ns)
 

@@ -144,7 +144,7 @@ class LogMoments:
             return None
 
     def _index(self) -> None:
-        with self._log.path.open("rb") as file:
+        with self._log.reopened() as file:
             for number, chunk in enumerate(self._chunks):
                 for topic, first_ns, last_ns in _indexed(file, chunk, self._topics) or self._searched(number):
                     before = self._first_ns.setdefault(topic, [])
@@ -163,7 +163,7 @@ class LogMoments:
             self._kept.move_to_end(number)
             return kept
         try:
-            with self._log.path.open("rb") as file:
+            with self._log.reopened() as file:
                 made = self._sorted(unpack(file, self._chunks[number]))
         except Damage:
             made = _Unpacked(b"", {}, {})

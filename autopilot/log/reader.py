@@ -6,10 +6,11 @@ variable size are decoded message by message. Damage is skipped and named in ``L
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,7 +355,7 @@ class Log:
         """
         place = {n: topics.index(c.topic) for n, c in self._contents.channels.items() if c.topic in topics}
         found: list[int] = []
-        with self.path.open("rb") as file:
+        with self.reopened() as file:
             for chunk in self._contents.chunks:
                 try:
                     data = unpack(file, chunk)
@@ -390,11 +391,21 @@ class Log:
         """
         self._read_chunks({})
         if self._contents.problems:
-            with self.path.open("rb") as file:
+            with self.reopened() as file:
                 index_from_chunks(file, self._contents)
             self.__dict__.pop("topics", None)
         self.check_clock()
         return self.problems
+
+    @contextmanager
+    def reopened(self) -> Iterator[IO[bytes]]:
+        """The file once more. LogError if it is gone meanwhile."""
+        try:
+            file = self.path.open("rb")
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read any more ({error.strerror}); was it moved?") from error
+        with file:
+            yield file
 
     def check_clock(self) -> None:
         """Report time that goes back in a topic that is written in the order of time."""
@@ -418,7 +429,7 @@ class Log:
 
     def _read_chunks(self, wanted: Mapping[int, str]) -> None:
         bad = []
-        with self.path.open("rb") as file:
+        with self.reopened() as file:
             for chunk in self._contents.chunks:
                 try:
                     self._gather(unpack(file, chunk), wanted)

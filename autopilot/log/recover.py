@@ -13,7 +13,7 @@ from typing import IO
 from autopilot.core.errors import LogError
 from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
-from autopilot.log.mcap_file import McapFile
+from autopilot.log.mcap_file import REPEAT_CHUNKS, McapFile
 from autopilot.log.reader import open_log
 from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
@@ -63,7 +63,7 @@ def recover_log(path: Path) -> Recovery | None:
     Raises
     ------
     LogError
-        It is no log, or not accessible.
+        It is no log, not accessible, or there is no room for the copy.
     """
     try:
         opened = path.open("r+b")
@@ -90,6 +90,8 @@ def recover_log(path: Path) -> Recovery | None:
             if kept is not None:
                 os.replace(path, kept)
             os.replace(copy, path)
+        except OSError as error:
+            raise LogError(f"{path}: not repaired, {copy} cannot be written ({error.strerror}); make room") from error
         finally:
             copy.unlink(missing_ok=True)
     return Recovery(path=path, messages=written, problem=problem, repaired=True)
@@ -111,7 +113,7 @@ def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> 
     """Write everything readable to a new file; the number of messages."""
     written = 0
     with target.open("wb") as file:
-        writer = McapFile(file, CHUNK_BYTES)
+        writer = McapFile(file, CHUNK_BYTES, repeat_chunks=REPEAT_CHUNKS)
         writer.start(PROFILE, LIBRARY)
         for name, values in contents.metadata.items():
             writer.add_metadata(name, values)

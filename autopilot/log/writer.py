@@ -21,7 +21,7 @@ from autopilot.core.disk import cause_of
 from autopilot.core.errors import LogError
 from autopilot.log.description import RUN_RECORD
 from autopilot.log.lock import lock_exclusive
-from autopilot.log.mcap_file import McapFile
+from autopilot.log.mcap_file import REPEAT_CHUNKS, McapFile
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, PROFILE, definition, ros_name
 from autopilot.log.topics import type_of
 
@@ -166,7 +166,7 @@ class LogWriter:
         head.path.parent.mkdir(parents=True, exist_ok=True)
         self._file = _open_locked(head.path)
         head.path.with_suffix(".tlog").unlink(missing_ok=True)
-        self._mcap = McapFile(self._file, CHUNK_BYTES)
+        self._mcap = McapFile(self._file, CHUNK_BYTES, repeat_chunks=REPEAT_CHUNKS)
         self._mcap.start(PROFILE, LIBRARY)
         self._mcap.add_metadata(RUN_RECORD, {**head.metadata, "epoch_ns": str(self.epoch_ns)})
         for name, data in head.attachments.items():

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.core.disk import write_whole
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
@@ -355,7 +356,7 @@ def _write_csv(path: Path, states: Sequence[NavState]) -> Path:
         values = [value for name in VECTORS for value in getattr(state, name).tolist()] + state.variance.tolist()
         lines.append(",".join([str(state.t_us), *map(repr, values), str(int(state.health)), str(state.reset_count)]))
     try:
-        path.write_text("\n".join(lines) + "\n")
+        write_whole(path, "\n".join(lines) + "\n")
     except OSError as error:
         raise LogError(f"replay: {path} cannot be written ({error.strerror}); choose another place") from error
     return path

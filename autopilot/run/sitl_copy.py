@@ -4,6 +4,7 @@ import re
 from importlib import resources
 from pathlib import Path
 
+from autopilot.core.disk import write_whole
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, scenario_path
 
@@ -38,6 +39,12 @@ def copy_scenario(name: str, source: str, target: Path) -> list[Path]:
     return list(copies)
 
 
+def check_file_name(name: str) -> None:
+    """ConfigError unless NAME.toml is a file of that folder and NAME a text in TOML."""
+    if not name or any(mark in name for mark in '"\\/\n') or name.endswith(".toml"):
+        raise ConfigError(f"{name!r} is no name of a file; use letters, digits and dashes, without .toml")
+
+
 def copy_target(name: str, out: Path | None) -> Path:
     """File of a copy: ``out``, or NAME.toml in it if that is a folder, or here."""
     if out is not None and out.suffix == ".toml" and not out.is_dir():
@@ -53,8 +60,10 @@ def write_copies(copies: dict[Path, bytes], folder: Path) -> None:
     try:
         for path, data in copies.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+            write_whole(path, data)
     except OSError as error:
+        for path in copies:  # those before the one that failed
+            path.unlink(missing_ok=True)
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from error
 
 

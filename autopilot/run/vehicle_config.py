@@ -4,6 +4,7 @@ Wiring and site are set here, tuning and limits are parameters; ``[parameters]``
 relative to the file. Unknown keys are errors that name the key.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -154,7 +155,18 @@ def _check(config: VehicleConfig) -> None:
 
 
 def _check_ports(config: VehicleConfig) -> None:
-    """Two that listen on one UDP port would only be found when the second is opened. ConfigError."""
+    """Two on one serial line would take each other's bytes, and two that listen on one UDP port would only be found
+    when the second is opened. ConfigError.
+    """
+    taken: dict[str, str] = {}
+    for kind, setup in config.devices.items():
+        port = getattr(setup.options, "port", None)
+        other = taken.setdefault(os.path.realpath(port), kind) if isinstance(port, str) else kind
+        if other != kind:
+            raise ConfigError(
+                f"{config.path}: `$.devices.{other}.port` and `$.devices.{kind}.port` = {port!r} are one line; give"
+                " each its own"
+            )
     below = config.devices.get(FLIGHT_CONTROLLER)
     theirs = None if below is None else getattr(below.options, "connect", None)
     ours = config.file.service.connect or ()

@@ -53,7 +53,13 @@ def test_certificate_table_has_a_row_per_goal_and_current() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [(["--current", "fast"], "give NORTH,EAST"), (["no-such.plan"], "no-such.plan"), (["--param", "NO=1"], "NO")],
+    [
+        (["--current", "fast"], "give NORTH,EAST"),
+        (["--current", "nan,0"], "m/s together at most"),
+        (["--current", "99,0"], "m/s together at most"),
+        (["no-such.plan"], "no-such.plan"),
+        (["--param", "NO=1"], "NO"),
+    ],
 )
 def test_bad_arguments_are_named(arguments: list[str], says: str) -> None:
     done = CliRunner().invoke(certify, arguments)

@@ -82,6 +82,25 @@ def test_remarks_name_what_is_missing(views: Views, tmp_path: Path) -> None:
     assert write_plot(result, spread, tmp_path / "plot.png").stat().st_size > 10_000
 
 
+def test_a_picture_counts_once(printed: Printed, pictures: list[tuple[str, Any]]) -> None:
+    """Before: the sigma of the focal length fell with every copy."""
+    noise = np.random.default_rng(2).normal(0.0, 2.0, pictures[0][1].shape)
+    again = np.clip(pictures[0][1] + noise, 0, 255).astype(np.uint8)
+    copies = [("again.png", again), *((f"copy-{name}", grey) for name, grey in pictures[1:])]
+    once, twice = (calibrate(collect_views(printed.board, more, "test")) for more in (pictures, [*pictures, *copies]))
+    assert len(twice.views) == 16 and twice.sigma == pytest.approx(once.sigma)
+    assert ("again.png", f"shows the board where {pictures[0][0]} does") in twice.left_out
+    with pytest.raises(ConfigError, match="at least 8 are needed"):
+        calibrate(collect_views(printed.board, pictures[:4] * 4, "test"))
+
+
+def test_what_is_not_that_board_is_refused(pictures: list[tuple[str, Any]]) -> None:
+    """Markers of a ChArUco board taken for those of a grid."""
+    grid = CalibrationBoard(BoardSpec(kind="grid"))
+    with pytest.raises(ConfigError, match=r"do not fit one camera: \d+\.\d px rms; check --board"):
+        calibrate(collect_views(grid, pictures, "test"))
+
+
 def test_air_becomes_water_near_the_axis(views: Views) -> None:
     """A ray that leaves the port at x in water comes from n x in air: both formulas give the same pixel."""
     result = calibrate(views)

@@ -73,11 +73,20 @@ def test_any_table_gives_a_curve_that_can_be_flown_or_is_refused(thrusts: list[f
     type(drive)(**{name: getattr(drive, name) for name in drive.__struct_fields__ if name != "curve"}, curve=fit.curves)
 
 
+def test_a_table_saved_by_a_spreadsheet_is_read(tmp_path: Path) -> None:
+    file = table(tmp_path, "lbv150", (16.0,), 0.05)
+    before = run(file)
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
+    assert run(file) == before
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("", "has no column 'pulse_us'"),
         ("pulse_us,thrust_n\n1500,0\n", "has no column 'supply_v'"),
+        ("pulse_us;thrust_n;supply_v\n1500;0;16\n", "commas between them"),
+        ("pulse_us,thrust_n,supply_v\n", "0 readings are too few"),
         ("pulse_us,thrust_n,supply_v\n1500,zero,16\n", "line 2: `thrust_n` = 'zero' is not a number"),
         ("pulse_us,thrust_n,supply_v\n1500,0,16\n", "1 readings are too few"),
         ("pulse_us,thrust_n,supply_v\n" + "1900,5,0\n" * 6, "`supply_v` must be above 0"),

@@ -74,3 +74,11 @@ def test_tables_in_one_line_and_signs_within_strings_are_edited_too() -> None:
     result = tomllib.loads(edited("\n".join(lines), CHANGES, "s", "test"))
     assert result["laser"]["direction_frd"] == CHANGES["laser.direction_frd"]
     assert result["description"] == "a # b [x] = y"
+
+
+def test_what_is_no_vehicle_file_is_not_written_over(tmp_path: Path) -> None:
+    film = tmp_path / "film.avi"
+    film.write_bytes(b"film")
+    with pytest.raises(ConfigError, match=r"film\.avi: vehicle files end in \.toml"):
+        write_updated("lbv150", CHANGES, "s", film)
+    assert film.read_bytes() == b"film"

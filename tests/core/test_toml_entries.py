@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.toml_table import convert
+from autopilot.core.toml_table import MOST, convert, parse_toml
 from autopilot.sitl.scenario_tables import Scenario
 
 HEAD = {"scenario": {"name": "a", "description": "A tank"}, "vehicle": {"model": "lbv150", "start_m": [0.0, 0.0, 0.5]}}
@@ -41,3 +41,19 @@ def test_a_distribution_that_cannot_be_is_named(which: str, entry: Any, words: s
 
 def test_a_parameter_that_is_no_number_is_named() -> None:
     assert "$.params.SPD_PLANAR_MAX" in told(params={"THR_LIMIT": 12.0, "SPD_PLANAR_MAX": "fast"})
+
+
+@given(st.floats(MOST, exclude_min=True, allow_infinity=False), st.sampled_from([-1, 1]))
+def test_a_number_that_nothing_can_be_computed_with_is_named(size: float, sign: int) -> None:
+    assert f"`$.params.THR_LIMIT` = {sign * size} is too large" in told(params={"THR_LIMIT": sign * size})
+
+
+@pytest.mark.parametrize("text", ["a = " + "9" * 5000, "a = " + "[" * 100_000, "a = 1979-13-40"])
+def test_text_that_python_cannot_parse_is_no_toml(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^my\.toml: is not valid TOML: .*; correct it") as caught:
+        parse_toml(text, "my.toml")
+    assert len(str(caught.value)) < 300
+
+
+def test_a_whole_number_beyond_floats_is_named() -> None:
+    assert len(told(params={"THR_LIMIT": 10**400})) < 200

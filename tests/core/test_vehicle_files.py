@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autopilot.cli.main import cli, run
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert, load_vehicle, vehicle_names
 from autopilot.core.vehicle_summary import facts_of, terminal_speed, tilts_of
@@ -45,6 +46,7 @@ def test_every_value_of_a_shipped_vehicle_has_a_source(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.name == name
     assert not [line for line in facts_of(vehicle).missing if "says nothing" in line]
+    assert facts_of(vehicle).contradictions == ()
 
 
 def test_the_template_is_a_vehicle() -> None:
@@ -145,6 +147,30 @@ def test_mistakes_are_told_in_one_line(tmp_path: Path, name: str) -> None:
     assert all(part in text for part in says), text
 
 
+CONTRADICTIONS = {
+    "body.buoyancy_excess_n": (500.0, "0.6 of model4 and 500 of body"),
+    "model4.buoyancy_excess_n": (-0.6, "-0.6 of model4 and 0.6 of body"),
+    "body.weight_n": (12.0, "body.weight_n = 12 and body.mass_kg times 9.81 = 117.7"),
+    "model4.mass_kg": ([16.5, 220.0, 22.5, 0.3], "model4.mass_kg[1] = 220 and body.mass_kg and what is added = 22"),
+    "model4.dry_mass_kg": (1.2, "model4.dry_mass_kg = 1.2 and body.mass_kg = 12"),
+    "model4.quadratic_drag": ([300.0, 55.0, 60.0, 1.2], "model4 at 0.3 m/s: drag[0] = 28.2 and body's = 3.9"),
+    "body.center_of_buoyancy_frd_m": ([0.0, 0.0, 0.03], "center_of_buoyancy_frd_m[2] = 0.03 is below"),
+}
+
+
+@pytest.mark.parametrize("key", CONTRADICTIONS)
+def test_tables_that_describe_two_vehicles_are_told(
+    tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = tables("lbv150")
+    table, name = key.split(".")
+    made[table][name], told = CONTRADICTIONS[key]
+    (line,) = facts_of(load_vehicle(path := written(tmp_path / "made.toml", made))).contradictions
+    assert told in line
+    assert run(lambda: cli(["vehicle", "check", path], standalone_mode=False)) == 3
+    assert f"warning: {line}" in capsys.readouterr().err
+
+
 OTHER_UNITS = {
     "camera.mounting_rpy_rad": [0.0, 0.0, 90.0],
     "camera.position_frd_m": [0.0, 0.0, 100.0],
@@ -168,6 +194,8 @@ OTHER_UNITS = {
     "drive.time_constant_s": 150.0,
     "drive.command_timeout_s": 500.0,
     "drive.span_us": 4000,
+    "drive.power_w_n15": 1e-320,
+    "drive.reverse_power_w_n15": 1200.0e3,
 }
 
 

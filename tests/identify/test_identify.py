@@ -117,6 +117,14 @@ def test_a_log_of_another_vehicle_is_refused(tmp_path: Path) -> None:
     assert isinstance(result.exception, LogError)
 
 
+def test_a_log_counts_once(tmp_path: Path) -> None:
+    path, link = tmp_path / "flight.mcap", tmp_path / "link.mcap"
+    path.write_bytes(b"")
+    link.symlink_to(path)
+    result = CliRunner().invoke(identify, [str(path), str(link)])
+    assert result.exit_code == 2 and "is given twice" in result.output
+
+
 def test_a_log_that_is_no_flight_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
     path.write_bytes(b"")

@@ -1,5 +1,7 @@
 """Broken files: never a traceback, never a wrong value, and everything readable is read."""
 
+import errno
+import io
 import os
 import subprocess
 import sys
@@ -21,7 +23,7 @@ from autopilot.core.errors import LogError
 from autopilot.log.analysis import load_flight
 from autopilot.log.check import acceptance_table
 from autopilot.log.compare import compare_logs
-from autopilot.log.container import MESSAGE, Damage, find_messages, read_contents, records, unpack
+from autopilot.log.container import MESSAGE, Damage, find_messages, index_from_chunks, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
 from autopilot.log.mcap_file import MAGIC
 from autopilot.log.reader import Log, open_log
@@ -237,11 +239,60 @@ def test_recovery(sound: Path, tmp_path: Path) -> None:
     assert [r.path for r in recover_unfinished(tmp_path)] == [locked, junk]
 
 
-def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path: Path) -> None:
-    """The first chunk holds the names of the topics."""
+@given(which=st.integers(0, 5), ending=st.sampled_from(["cut off", "index damaged"]))
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_chunk_of_a_log_without_index_costs_only_itself(
+    sound: Path, tmp_path: Path, which: int, ending: str
+) -> None:
+    """Before: the first chunk alone named the topics, and all of their messages were lost with it."""
     data = bytearray(sound.read_bytes())
-    first = read_contents(sound).chunks[0]
-    data[first.offset + first.length // 2] ^= 0xFF
+    chunk, last = read_contents(sound).chunks[which], read_contents(sound).chunks[-1]
+    data[chunk.offset + chunk.length // 2] ^= 0xFF
+    if ending == "cut off":
+        del data[last.offset + last.length :]
+    else:
+        data[-100] ^= 0xFF
+    path = tmp_path / "hurt.mcap"
+    path.write_bytes(data)
+    with sound.open("rb") as file:
+        lost = len(find_messages(unpack(file, chunk)).starts)
+    assert open_log(path).message_count == open_log(sound).message_count - lost
+
+
+def test_a_log_that_is_gone_meanwhile_is_named(sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "gone.mcap"
+    path.write_bytes(sound.read_bytes())
+    log = open_log(path)
+    path.unlink()
+    for read in (lambda: log["/nav/state"], log.verify, lambda: log.messages("/rosout")):
+        with pytest.raises(LogError, match=r"gone\.mcap: cannot be read any more \(No such file or directory\)"):
+            read()
+
+
+def test_a_bad_sector_costs_its_chunk(sound: Path) -> None:
+    """Before: the disk's error for one chunk ended the reading of all."""
+
+    class Worn(io.BytesIO):
+        def read(self, size: int | None = -1) -> bytes:
+            if self.tell() == bad.offset:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            return super().read(size)
+
+    contents = read_contents(sound)
+    bad, count = contents.chunks[2], sum(contents.counts.values())
+    lost = len(find_messages(unpack(io.BytesIO(sound.read_bytes()), bad)).starts)
+    index_from_chunks(Worn(sound.read_bytes()), contents)
+    assert sum(contents.counts.values()) == count - lost
+    assert f"the chunk at byte {bad.offset} cannot be read (Input/output error)" in contents.problems[0]
+
+
+def test_messages_whose_topics_are_lost_are_told_and_kept(sound: Path, tmp_path: Path) -> None:
+    """Every chunk that holds names of topics is damaged."""
+    data = bytearray(sound.read_bytes())
+    with sound.open("rb") as file:
+        for chunk in read_contents(sound).chunks:
+            if find_messages(unpack(file, chunk)).others:
+                data[chunk.offset + chunk.length // 2] ^= 0xFF
     path = tmp_path / "cut.mcap"
     path.write_bytes(data[: len(data) * 2 // 3])
     before = path.read_bytes()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import resource
 import sys
 import tomllib
 from pathlib import Path
@@ -13,7 +14,7 @@ from click.testing import CliRunner, Result
 from log_synthetic import Run, write_run
 
 from autopilot.cli.main import cli
-from autopilot.core.errors import UnknownNameError
+from autopilot.core.errors import LogError, UnknownNameError
 from autopilot.log.container import read_contents
 from autopilot.log.reader import open_log
 
@@ -55,6 +56,41 @@ def test_export_of_some_topics_and_of_none_such(flown: Path, tmp_path: Path) -> 
     (tmp_path / "file").write_text("")
     done = call("export", flown, "--out", tmp_path / "file")
     assert done.exit_code == 1 and "choose another --out" in str(done.exception or done.output)
+
+
+@pytest.mark.parametrize("command", ["export", "recover"])
+def test_a_full_disk_leaves_what_was_there(flown: Path, tmp_path: Path, command: str) -> None:
+    unfinished, table = tmp_path / "unfinished.mcap", tmp_path / "sys_mode.csv"
+    unfinished.write_bytes(flown.read_bytes()[:-8])
+    table.write_text("the old one")
+    before = {path: path.read_bytes() for path in (unfinished, table)}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16, hard))
+    try:
+        done = call(command, unfinished, *(("--out", tmp_path) if command == "export" else ()))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert isinstance(done.exception, LogError) and "cannot be written (File too large)" in str(done.exception)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("replay", "--out"),
+        ("replay", "--only", "estimator", "--out"),
+        ("replay", "--step", "1", "--figure"),
+        ("report", "--out"),
+    ],
+)
+def test_no_result_is_written_over_its_log(flown: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+    log, link = tmp_path / "mine.mcap", tmp_path / "link.mcap"
+    log.write_bytes(flown.read_bytes())
+    link.symlink_to(log)
+    for out in (log, link):
+        done = call(command[0], log, *command[1:], out)
+        assert done.exit_code == 2 and "would be lost; name another file" in done.output
+    assert log.read_bytes() == flown.read_bytes()
 
 
 def test_parquet_needs_pyarrow(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

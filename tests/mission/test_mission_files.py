@@ -156,6 +156,9 @@ def test_any_value_anywhere_is_read_or_refused_in_one_line(data: st.DataObject, 
         (changed(lambda d: d["mission"].update(plannedHomePosition=[95, 0, 0])), "latitude 95"),
         (changed(lambda d: d["geoFence"]["circles"][0].pop("inclusion")), "circle 0: key 'inclusion' is missing"),
         (changed(lambda d: d["geoFence"]["polygons"][0]["polygon"][2].pop()), "polygon 0 vertex 2"),
+        (changed(lambda d: d["mission"]["items"][0].update(doJumpId=2)), "doJumpId 2, which 2 items have"),
+        (changed(lambda d: d["geoFence"]["polygons"][0].update(polygon=[])), "polygon 0: polygon has no vertices"),
+        (PAPER.replace('"geoFence": {', '"geoFence": {}, "geoFence": {'), "key 'geoFence' stands twice"),
         ("[1, 2]", "has to be an object"),
         ("[" * 5000, "JSON"),
         ("9" * 5000, "thousands of digits"),
@@ -231,6 +234,10 @@ def test_waypoints_file_with_and_without_home() -> None:
         (_wpl((0, 1, 3, 16.5, 0, 0, 0, 0, 37.9, 23.7, -1)), "column 4"),
         (_wpl((0, 1, 3, 16, 0, 0, 0, 0, "nan", 23.7, -1)), "param5 (a coordinate) is nan"),
         (_wpl((0, 1, "inf", 16, 0, 0, 0, 0, 37.9, 23.7, -1)), "column 3"),
+        (
+            _wpl((0, 1, 3, 16, 0, 0, 0, 0, 37.9, 23.7, -1), (2, 0, 3, 177, 0, 2, 0, 0, 0, 0, 0)),
+            "line 3: item 1 is numbered 2",
+        ),
     ],
 )
 def test_damaged_waypoint_files_name_the_line(text: str, words: str) -> None:
@@ -291,6 +298,8 @@ def test_local_metres(tmp_path: Path) -> None:
         (('action = "surface"', 'action = "dive"'), "$.end.action"),
         (("lat_deg = 37.9755", "lat_deg = 95.0"), "latitude"),
         (("[origin]", "[origin"), "not valid TOML"),
+        (("x_m = 1.0", "x_m = 1e9"), "waypoint[0]: local position 1e+09"),
+        (("[[rally]]", "[[fence.polygon]]\npoints_m = []\ninclusion = true\n[[rally]]"), "fence.polygon[0].points_m"),
         (("[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790", ""), "origin"),
     ],
 )

@@ -44,6 +44,21 @@ def test_other_tools_forms_are_read(tmp_path: Path) -> None:
     assert scan_param_file(path).values == {"THR_LIMIT": 9.5, "SPD_CRUISE": 0.2, "FS_BATT_ACT": 1.0}
 
 
+def test_a_file_saved_on_windows_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "p.params"
+    path.write_bytes(b"\xef\xbb\xbfTHR_LIMIT 9.5\r\nSPD_CRUISE,0.2\r\n")
+    assert scan_param_file(path).values == {"THR_LIMIT": 9.5, "SPD_CRUISE": 0.2}
+    assert PersistentParams(path, ParamSet()).load() == ()
+
+
+def test_a_parameter_with_two_values_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "p.params"
+    path.write_text("SPD_CRUISE 0.2\nTHR_LIMIT 9\nSPD_CRUISE 0.2\nSPD_CRUISE 0.3\n")
+    found = scan_param_file(path)
+    assert found.values["SPD_CRUISE"] == 0.3
+    assert found.repeated == (f"{path}:4: SPD_CRUISE = 0.3 after SPD_CRUISE = 0.2",)
+
+
 BAD_LINES = [
     ("THR_LIMIT 1e9", "THR_LIMIT"),
     ("THR_LIMIT nan", "THR_LIMIT"),

@@ -1,5 +1,6 @@
 """Scenario files: the shipped ones are good, wrong ones are refused with the name of the key."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,14 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
     assert plan_path(str(path), scenario) == tmp_path / "test.plan"
     assert plan_path("vortex", load_scenario("vortex")) is None
     assert scenario_path("vortex").is_file()
+
+
+def test_a_vortex_without_a_core_is_refused(tmp_path: Path) -> None:
+    text = scenario_path("vortex").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(re.sub(r"core_m = [\d.]+", "core_m = 1e-300", text), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r">= 0\.001 - at `\$\.current\.core_m`"):
+        load_scenario(str(path))
 
 
 @pytest.mark.parametrize(

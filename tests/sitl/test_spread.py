@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.scenario import load_scenario, load_tables, scenario_path
@@ -75,6 +77,12 @@ def test_a_drawn_scenario_is_a_file_of_its_own(tmp_path: Path) -> None:
     assert "lateral" in repr(scenario.fault)
     assert scenario.spread == {}
     assert toml_text(tables) == before, "drawing leaves the tables alone"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_any_text_survives_being_written_for_a_run(text: str) -> None:
+    tables = {"scenario": {"description": text}}
+    assert tomllib.loads(toml_text(tables)) == tables
 
 
 WRONG: dict[str, tuple[str, str]] = {

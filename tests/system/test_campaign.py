@@ -179,6 +179,12 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
         read_results(tmp_path)
 
 
+def test_results_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "runs.jsonl").mkdir()
+    with pytest.raises(LogError, match=r"runs\.jsonl: cannot be read \(Is a directory\)"):
+        read_results(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -259,6 +265,12 @@ def test_parquet_where_pyarrow_is(tmp_path: Path) -> None:
     assert [row["run"] for row in table] == [0, 1, 2]
     assert (table[2]["drawn.a"], table[2]["drawn.b"], table[0]["drawn.b"]) == (1.0, "x", None)
     assert table[1]["error"] == "no" and table[1]["failed"] is True
+
+
+def test_a_seed_of_more_than_64_bits_is_kept(tmp_path: Path) -> None:
+    parquet: Any = pytest.importorskip("pyarrow.parquet")
+    write_tables([msgspec.structs.replace(made_up(0), seed=10**23)], tmp_path)
+    assert parquet.read_table(tmp_path / "runs.parquet").to_pylist()[0]["seed"] == str(10**23)
 
 
 def test_the_worst_runs_have_logs_of_the_same_run(flown: tuple[Path, str, Any]) -> None:

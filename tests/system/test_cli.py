@@ -533,7 +533,7 @@ def test_vehicle_new_check_and_fly(autopilot: Command, tmp_path: Path) -> None:
     """What a newcomer does: a template, a look at it, a mistake, a flight."""
     assert autopilot("vehicle", "new", "mine").code == 0
     again = autopilot("vehicle", "new", "mine")
-    assert again.code == 1 and "mine.toml exists" in again.err
+    assert again.code == 1 and "mine.toml: is there already" in again.err
     checked = autopilot("vehicle", "check", "mine.toml", "--json")
     assert checked.code == 0
     assert [axis["axis"] for axis in json.loads(checked.out)["axes"]] == ["surge", "sway", "heave", "yaw"]

@@ -172,6 +172,11 @@ def test_a_state_folder_that_is_a_file_is_named_with_a_remedy(tmp_path: Path) ->
         ),
         ('vehicle = "bluerov2"\n' + ARDUSUB.replace('"ardusub"', '"ardupilot"'), "$.devices.flight_controller.driver"),
         ('vehicle = "bluerov2"\n[devices.flight_controller]\nframe = "vectored"\n', "names no `driver`"),
+        (
+            'vehicle = "lbv150"\n[devices.ahrs]\ndriver = "ig500"\nport = "/dev/ttyUSB0"\n'
+            '[devices.thrusters]\ndriver = "sabertooth"\nport = "/dev/../dev/ttyUSB0"\n',
+            "`$.devices.ahrs.port` and `$.devices.thrusters.port` = '/dev/../dev/ttyUSB0' are one line",
+        ),
     ],
 )
 def test_a_wrong_configuration_is_named_with_its_key(tmp_path: Path, text: str, wrong: str) -> None:
