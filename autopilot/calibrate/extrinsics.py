@@ -46,8 +46,7 @@ class LeverArm:
     @property
     def observable(self) -> np.ndarray:
         """(3,) which components are known well enough."""
-        result: np.ndarray = self.sigma_m < EXTRINSICS.max_sigma_arm_m
-        return result
+        return self.sigma_m < EXTRINSICS.max_sigma_arm_m
 
 
 def mounting_rpy_rad(r_frd_from_cam: FloatArray) -> FloatArray:

@@ -154,8 +154,7 @@ class FreeSpace:
     def lengths_m(self, pairs: IntArray) -> FloatArray:
         """(m,) between the places of pairs (m, 2)."""
         offset = self.places_ned_m[pairs[:, 1]] - self.places_ned_m[pairs[:, 0]]
-        length: FloatArray = np.hypot(offset[:, 0], offset[:, 1])
-        return length
+        return np.hypot(offset[:, 0], offset[:, 1])
 
     def regions(self) -> IntArray:
         """(n,) number of the connected region of every place."""
@@ -164,8 +163,7 @@ class FreeSpace:
 
         count, a, b = len(self.places_ned_m), self.links[:, 0], self.links[:, 1]
         graph = csr_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
-        labels: IntArray = connected_components(graph, directed=False)[1].astype(np.intp)
-        return labels
+        return connected_components(graph, directed=False)[1].astype(np.intp)
 
     def place_near(self, point_ned_m: FloatArray) -> tuple[int, float] | None:
         """The nearest position with a free line to a point (2,), else the nearest one, and its distance [m].
@@ -440,5 +438,4 @@ def _quarters(level: IntArray, row: IntArray, column: IntArray) -> tuple[IntArra
 
 
 def _code(level: IntArray, row: IntArray, column: IntArray) -> NDArray[np.int64]:
-    code: NDArray[np.int64] = (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)
-    return code
+    return (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)

@@ -97,8 +97,7 @@ class Span:
 
     def holds(self, t_s: FloatArray) -> BoolArray:
         """(n,)"""
-        result: BoolArray = (t_s >= self.start_s) & (t_s <= self.end_s)
-        return result
+        return (t_s >= self.start_s) & (t_s <= self.end_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -212,10 +211,7 @@ def along_track(track: VehicleTrack) -> FloatArray:
     moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
     speed = np.hypot(moved[:, 0], moved[:, 1])
     going = speed > 0.02
-    result: FloatArray = np.where(
-        going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0
-    )
-    return result
+    return np.where(going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0)
 
 
 def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, variance: FloatArray) -> FloatArray:
@@ -244,8 +240,7 @@ def thruster_names(flight: FlightRecord, commands: MessageTable) -> tuple[str, .
 
 def wrap(angles_rad: FloatArray) -> FloatArray:
     """The same angles in [-pi, pi)."""
-    result: FloatArray = (angles_rad + np.pi) % (2.0 * np.pi) - np.pi
-    return result
+    return (angles_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def known_table(log: Log, topic: str) -> MessageTable | None:

@@ -86,8 +86,7 @@ class DistanceMap:
         return pixels
 
     def _at(self, places: FloatArray) -> FloatArray:
-        at: FloatArray = (places - self.low) / self.pixel_m - 0.5
-        return at
+        return (places - self.low) / self.pixel_m - 0.5
 
     def _fill(self, picture: NDArray[np.uint8], corners: FloatArray, value: int) -> None:
         cv2.fillPoly(picture, [self._scaled(corners)[:, ::-1].copy()], value, cv2.LINE_8, _SUBPIXEL_BITS)
