@@ -5,7 +5,7 @@ Verdicts are in :mod:`autopilot.log.check`. Times are seconds of the service's c
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -86,6 +86,10 @@ class VehicleTrack:
         surge, sway, _ = self.vel_level_m_s.T
         result: FloatArray = np.abs(surge + sway)
         return result
+
+
+STATE_FIELDS = tuple(field.name for field in fields(VehicleTrack) if field.name != "t_s")
+"""Of ``autopilot_msgs/VehicleState``, and of NavState."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,10 +279,7 @@ def last_counts(log: Log) -> dict[str, int]:
 
 def _track(log: Log, topic: str) -> VehicleTrack | None:
     table = known_table(log, topic)
-    if table is None:
-        return None
-    fields = [name for name in VehicleTrack.__slots__ if name != "t_s"]
-    return VehicleTrack(t_s=seconds(table), **{name: table[name] for name in fields})
+    return None if table is None else VehicleTrack(t_s=seconds(table), **{name: table[name] for name in STATE_FIELDS})
 
 
 def _armed_span(log: Log, whole: Span) -> Span:

@@ -12,12 +12,13 @@ from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Output
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.description import RunDescription
+from autopilot.log.description import Point2, Point3, RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.log.scene import outline
 from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_s
 from autopilot.view.controls import Steered
 from autopilot.view.feed import CapturedPicture as TakenPicture
-from autopilot.view.feed import TickSnapshot, TruthSeen
+from autopilot.view.feed import TickSnapshot
 from autopilot.view.page_state import (
     BatteryView,
     Control,
@@ -31,15 +32,12 @@ from autopilot.view.page_state import (
     ObstacleView,
     Outline,
     PictureView,
-    Point2,
-    Point3,
     ProgressView,
     SceneView,
     SensorView,
     Steerable,
     TrueState,
     ViewFrame,
-    WaypointView,
 )
 
 DIGITS = 4
@@ -64,7 +62,7 @@ def scene_of(
             Outline(inclusion=shape.inclusion, corners_m=tuple((_number(n), _number(e)) for n, e in outline(shape)))
             for shape in run.fence
         ),
-        places=_places(run),
+        places=run.waypoints,
         limits=Limits(
             planar_speed_m_s=bounds["planar_speed_m_s"],
             heave_m_s=bounds["heave_m_s"],
@@ -211,19 +209,6 @@ def _point3(values: FloatArray) -> Point3:
     return _number(first), _number(second), _number(third)
 
 
-def _places(run: RunDescription) -> tuple[WaypointView, ...]:
-    return tuple(
-        WaypointView(
-            name=place.name,
-            pos_ned_m=place.pos_ned_m,
-            yaw_rad=place.yaw_rad,
-            accept_radius_m=place.accept_radius_m,
-            accept_yaw_rad=place.accept_yaw_rad,
-        )
-        for place in run.waypoints
-    )
-
-
 def _estimate(nav: NavState, age_s: float) -> Estimate:
     sigma = np.sqrt(np.maximum(nav.variance, 0.0))
     return Estimate(
@@ -242,7 +227,7 @@ def _estimate(nav: NavState, age_s: float) -> Estimate:
     )
 
 
-def _truth(truth: TruthSeen, count: int) -> TrueState:
+def _truth(truth: LoggedTruth, count: int) -> TrueState:
     return TrueState(
         pos_ned_m=_point3(truth.pos_ned_m),
         rpy_rad=_point3(truth.rpy_rad),
