@@ -54,8 +54,6 @@ class ArduSubFrame:
     upright: tuple[Axis, ...]
     upright_factors: tuple[tuple[int, ...], ...]
     """Of the motors from the fifth on."""
-    scales_groups: bool
-    """What is too much for one motor is taken from its whole group; else that motor alone is cut."""
 
     @property
     def motors(self) -> int:
@@ -68,14 +66,12 @@ FRAMES = {
         number=1,
         upright=(Axis.THROTTLE, Axis.ROLL),
         upright_factors=((-1, 1), (-1, -1)),
-        scales_groups=False,
     ),
     "vectored_6dof": ArduSubFrame(
         name="vectored_6dof",
         number=2,
         upright=(Axis.THROTTLE, Axis.ROLL, Axis.PITCH),
         upright_factors=((-1, 1, -1), (-1, -1, -1), (-1, 1, 1), (-1, -1, 1)),
-        scales_groups=True,
     ),
 }
 

@@ -41,7 +41,6 @@ class LeverArm:
     """(3,)"""
     accel_bias_m_s2: FloatArray
     """(3,) body frame."""
-    measurements: int
 
     @property
     def observable(self) -> np.ndarray:
@@ -114,7 +113,7 @@ def fit_lever_arm(flight: CameraFlight, fit: MotionFit) -> LeverArm | None:
     sigma = MOTION_FIT.sigma_factor * np.sqrt(
         np.diag(covariance(jacobian, target - jacobian @ x, weights, inverse, lags))
     )
-    return LeverArm(arm_frd_m=x[:3], sigma_m=sigma[:3], accel_bias_m_s2=x[3:], measurements=len(target))
+    return LeverArm(arm_frd_m=x[:3], sigma_m=sigma[:3], accel_bias_m_s2=x[3:])
 
 
 def _double_integrals(
