@@ -129,7 +129,7 @@ class DistanceMap:
 
 class QuickestPaths:
     def __init__(self, free: BoolArray, low: FloatArray, cell_m: float) -> None:
-        self._free, self._low, self._cell_m = free, low, cell_m
+        self._low, self._cell_m = low, cell_m
         self._number: NDArray[np.int64] = np.full(free.shape, -1, dtype=np.int64)
         self._number[free] = np.arange(int(free.sum()))
         self._places = low + (np.argwhere(free) + 0.5) * cell_m
