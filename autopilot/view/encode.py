@@ -12,6 +12,7 @@ from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Output
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
+from autopilot.log.analysis import STATE_FIELDS
 from autopilot.log.description import Point2, Point3, RunDescription
 from autopilot.log.log_session import LoggedTruth
 from autopilot.log.scene import outline
@@ -214,12 +215,7 @@ def _estimate(nav: NavState, age_s: float) -> Estimate:
     return Estimate(
         age_s=age_s,
         health=nav.health.name,
-        pos_ned_m=_point3(nav.pos_ned_m),
-        rpy_rad=_point3(nav.rpy_rad),
-        vel_water_frd_m_s=_point3(nav.vel_water_frd_m_s),
-        vel_frd_m_s=_point3(nav.vel_frd_m_s),
-        rate_frd_rad_s=_point3(nav.rate_frd_rad_s),
-        current_ned_m_s=_point3(nav.current_ned_m_s),
+        **{name: _point3(getattr(nav, name)) for name in STATE_FIELDS},
         sigma_pos_m=_point3(sigma[0:3]),
         sigma_yaw_rad=_number(sigma[5]),
         resets=nav.reset_count,
