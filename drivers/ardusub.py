@@ -143,8 +143,6 @@ class ArduSub(Closing):
         self._senders = OutputWatch()
         self._seen: tuple[int, tuple[int, ...]] | None = None
         """What is at the servo rail, and when that was reported."""
-        self.saturated_count = 0
-        """Commands that did not fit its channels."""
 
     def _new_telemetry(self) -> ArduSubTelemetry:
         options = self._options
@@ -453,7 +451,6 @@ class ArduSub(Closing):
             wire.override(NEUTRAL)
             return
         mixed = self._mixer.mix(pwm_us, self._telemetry.supply_v)
-        self.saturated_count += mixed.saturated
         wire.override(mixed.channels_us)
         self._senders.sent(t_us, mixed.servos_us)
 

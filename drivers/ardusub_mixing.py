@@ -54,8 +54,6 @@ class ArduSubFrame:
     upright: tuple[Axis, ...]
     upright_factors: tuple[tuple[int, ...], ...]
     """Of the motors from the fifth on."""
-    scales_groups: bool
-    """What is too much for one motor is taken from its whole group; else that motor alone is cut."""
 
     @property
     def motors(self) -> int:
@@ -68,14 +66,12 @@ FRAMES = {
         number=1,
         upright=(Axis.THROTTLE, Axis.ROLL),
         upright_factors=((-1, 1), (-1, -1)),
-        scales_groups=False,
     ),
     "vectored_6dof": ArduSubFrame(
         name="vectored_6dof",
         number=2,
         upright=(Axis.THROTTLE, Axis.ROLL, Axis.PITCH),
         upright_factors=((-1, 1, -1), (-1, -1, -1), (-1, 1, 1), (-1, -1, 1)),
-        scales_groups=True,
     ),
 }
 
@@ -168,7 +164,6 @@ class Mixed:
     """Pulses of the channels 1 to 6."""
     servos_us: tuple[int, ...]
     """Pulses of the motors 1 to n."""
-    saturated: bool
 
 
 class Mixer:
@@ -229,7 +224,7 @@ class Mixer:
     def mix(self, pwm_us: Sequence[int], supply_v: float | None) -> Mixed:
         """Channels for a pulse per thruster, in the order of the vehicle file."""
         wanted_us = self._turned * (np.array([pwm_us[index] for index in self._order], dtype=float) - NEUTRAL_US)
-        offsets, saturated = np.zeros(CHANNELS), False
+        offsets = np.zeros(CHANNELS)
         for group in self._groups:
             wanted = wanted_us[group.place]
             if not wanted.any():
@@ -237,15 +232,12 @@ class Mixer:
             found = group.channels_us(wanted, supply_v)
             most = max(float(np.abs(group.factors @ found).max()), float(np.abs(found).max()))
             if most > SPAN_US:  # the direction of the force is kept, not its size
-                found, saturated = found * (SPAN_US / most), True
+                found = found * (SPAN_US / most)
             offsets[list(group.axes)] = found
         offsets[Axis.YAW] /= self.yaw_gain
         whole = np.clip(np.round(offsets), -SPAN_US, SPAN_US)
-        return Mixed(
-            channels_us=tuple(int(NEUTRAL_US + offset) for offset in whole),
-            servos_us=self._servos_us(whole),
-            saturated=saturated or bool(np.abs(offsets).max() > SPAN_US),
-        )
+        channels_us = tuple(int(NEUTRAL_US + offset) for offset in whole)
+        return Mixed(channels_us=channels_us, servos_us=self._servos_us(whole))
 
     def pulses_us(self, servos_us: Sequence[int]) -> tuple[int, ...]:
         """A pulse per thruster, in the order of the vehicle file, from those of the motors 1 to n: mixing backwards."""

@@ -13,45 +13,11 @@ from collections import deque
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.drivers.drivers_tuning import FRAMES
 
-FIRST = 60
-"""Arrivals before the period is estimated; until then arrival times are used."""
-AGAIN = 15
-"""Arrivals between estimates of the period, which take milliseconds."""
-WINDOW = 240
-"""Arrivals that the line goes through: 8 s at 30 Hz, in which clocks of cameras drift by less than a millisecond."""
 TRIED = np.geomspace(0.28, 1.4, 800)
 """Beats that are tried, in median steps: of a stream that loses most pictures a step is two or three beats, and a
 step's delay may be a third of a beat more than the one's before."""
-LEAST_ORDER = 0.45
-"""Phase coherence of periodic arrivals (1 = all at the same phase): arrivals without a period reach about 0.35 at
-best."""
-LEAST_FRACTION = 0.65
-"""The longest beat that comes so near to the best is it: half of a beat and a third are beats, too."""
-CLIP = 2.5
-"""Arrivals farther from the line than so many standard deviations pull it no more than that."""
-SCATTER_MOST = 0.25
-"""Standard deviation about the line, in beats, at which there is none: arrivals at any time have 0.29."""
-EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
-"""Earliest arrival in standard deviations, and its bounds in periods; an arrival later than the rest of a period is
-taken for the next image. Delays have long tails on one side only."""
-PAUSE_BEATS = 60.0
-"""Missing images after which the period is estimated again."""
-LOST_COUNT = 20
-"""Consecutive arrivals off the line on one side after which the transport has changed, and the line is restarted."""
-
-STREAM_WINDOW = 1800
-"""Arrivals that show the offset of a stream's clock: a minute at 30 Hz."""
-QUICKEST_PERCENT = 10.0
-PAUSE_US, STEP_US = 2_000_000.0, 200_000.0
-"""A stream's clock begins anew after a longer step, a step back, or when :data:`LOST_COUNT` arrivals in a row are so
-far off."""
-STREAM_SIGMA_US = 1000.0
-"""Of its stamps: encoder and rolling shutter."""
-FEW, UNKNOWN_SIGMA_US = 8, 10_000.0
-"""Jitter that is assumed until there are more arrivals."""
-MAD_SIGMA = 1.4826
-"""Standard deviation over median distance from the median, of a normal distribution."""
 
 
 def machine_us() -> int:
@@ -86,7 +52,7 @@ class StreamClock:
     """
 
     def __init__(self) -> None:
-        self._late_us: deque[float] = deque(maxlen=STREAM_WINDOW)
+        self._late_us: deque[float] = deque(maxlen=FRAMES.stream_window)
         self._last_us = 0.0
         self._arrivals = self._off = 0
         self._offset_us = self._mean_us = 0.0
@@ -94,21 +60,21 @@ class StreamClock:
     def stamp(self, arrival_us: int, stream_us: float) -> int | None:
         """Arrival time of this image at the mean delay [us]; None while that is not known."""
         late_us = self._late_us
-        if not 0.0 < stream_us - self._last_us < PAUSE_US or self._off >= LOST_COUNT:
+        if not 0.0 < stream_us - self._last_us < FRAMES.pause_us or self._off >= FRAMES.lost_count:
             late_us.clear()
             self._arrivals = self._off = 0
         self._last_us = stream_us
         late_us.append(arrival_us - stream_us)
         self._arrivals += 1
-        if self._arrivals < FIRST:
+        if self._arrivals < FRAMES.first:
             return None
-        if self._arrivals % AGAIN == 0:
+        if self._arrivals % FRAMES.again == 0:
             values = np.array(late_us)
-            quickest_us = float(np.percentile(values, QUICKEST_PERCENT))
-            if self._arrivals == FIRST:
+            quickest_us = float(np.percentile(values, FRAMES.quickest_percent))
+            if self._arrivals == FRAMES.first:
                 self._mean_us = float(values.mean()) - quickest_us
             self._offset_us = quickest_us + self._mean_us
-        self._off = self._off + 1 if abs(late_us[-1] - self._offset_us) > STEP_US else 0
+        self._off = self._off + 1 if abs(late_us[-1] - self._offset_us) > FRAMES.step_us else 0
         return round(stream_us + self._offset_us)
 
 
@@ -116,7 +82,7 @@ class FrameClock:
     """Without stamps of a stream."""
 
     def __init__(self) -> None:
-        self._times_us: deque[int] = deque(maxlen=WINDOW)
+        self._times_us: deque[int] = deque(maxlen=FRAMES.window)
         self._line: _Line | None = None
         self._off = 0
         self._unplaced = 0
@@ -133,16 +99,16 @@ class FrameClock:
         times = self._times_us
         if self._line is not None:
             return self._line.stamp_sigma_us(len(times))
-        if len(times) <= FEW:
-            return UNKNOWN_SIGMA_US
+        if len(times) <= FRAMES.few:
+            return FRAMES.unknown_sigma_us
         steps_us = np.diff(np.array(times, dtype=float))
         off_us = np.abs(steps_us - np.median(steps_us))
-        return float(np.median(off_us)) * MAD_SIGMA / math.sqrt(2.0)  # a step has the jitter of two arrivals
+        return float(np.median(off_us)) * FRAMES.mad_sigma / math.sqrt(2.0)  # a step has the jitter of two arrivals
 
     def stamp(self, arrival_us: int) -> int:
         """Arrival time of this image at the mean delay [us]. Arrivals must be in order."""
         times, line = self._times_us, self._line
-        if times and (arrival_us <= times[-1] or (line and arrival_us - times[-1] > PAUSE_BEATS * line.beat_us)):
+        if times and (arrival_us <= times[-1] or (line and arrival_us - times[-1] > FRAMES.pause_beats * line.beat_us)):
             times.clear()
             self._line = line = None
         times.append(arrival_us)
@@ -150,7 +116,7 @@ class FrameClock:
             self._follow(line)
         else:
             self._unplaced += 1
-            if len(times) >= FIRST and self._unplaced >= AGAIN:
+            if len(times) >= FRAMES.first and self._unplaced >= FRAMES.again:
                 self._unplaced = 0
                 self._line = _find(np.array(times, dtype=float))
         line = self._line
@@ -160,10 +126,10 @@ class FrameClock:
         """The line anew with the last arrival; none if arrivals do not keep to it."""
         off = (self._times_us[-1] - line.of(self._times_us[-1])) / max(line.sigma_us, 1.0)
         same_side = self._off * off >= 0.0
-        self._off = (self._off if same_side else 0) + (int(math.copysign(1, off)) if abs(off) > CLIP else 0)
-        if abs(self._off) >= LOST_COUNT:
+        self._off = (self._off if same_side else 0) + (int(math.copysign(1, off)) if abs(off) > FRAMES.clip else 0)
+        if abs(self._off) >= FRAMES.lost_count:
             self._off = 0
-            while len(self._times_us) > FIRST:
+            while len(self._times_us) > FRAMES.first:
                 self._times_us.popleft()
             self._line = None
         else:
@@ -175,7 +141,7 @@ class _Line:
 
     def __init__(self, at_us: float, beat_us: float, sigma_us: float) -> None:
         self.at_us, self.beat_us, self.sigma_us = at_us, beat_us, sigma_us
-        self._early = min(max(EARLY_SIGMAS * sigma_us / beat_us, EARLY[0]), EARLY[1])
+        self._early = min(max(FRAMES.early_sigmas * sigma_us / beat_us, FRAMES.early[0]), FRAMES.early[1])
 
     def stamp_sigma_us(self, count: int) -> float:
         """Standard deviation at the end of the line through ``count`` arrivals, wrongly numbered ones among them."""
@@ -191,11 +157,11 @@ class _Line:
         middle = float(numbers.mean())
         x = numbers - middle
         off = times_us - (self.at_us + numbers * self.beat_us)
-        off = np.clip(off, -CLIP * self.sigma_us, CLIP * self.sigma_us)
+        off = np.clip(off, -FRAMES.clip * self.sigma_us, FRAMES.clip * self.sigma_us)
         mean, slope = float(off.mean()), float(x @ off / max(float(x @ x), 1.0))
         rest = off - mean - slope * x
         sigma_us = max(math.sqrt(float(rest @ rest) / len(rest)) * 1.1, 0.005 * self.beat_us)  # 1.1: clipped
-        if sigma_us > SCATTER_MOST * self.beat_us:
+        if sigma_us > FRAMES.scatter_most * self.beat_us:
             return None
         number = round(middle)
         at_us = self.at_us + number * self.beat_us + mean + slope * (number - middle)
@@ -211,7 +177,7 @@ def _find(times_us: FloatArray) -> _Line | None:
     phasors = np.cos(angles).mean(axis=0) + 1j * np.sin(angles).mean(axis=0)
     orders = np.abs(phasors)
     peak = np.r_[False, (orders[1:-1] >= orders[:-2]) & (orders[1:-1] >= orders[2:]), False]
-    good = np.flatnonzero(peak & (orders >= max(LEAST_ORDER, LEAST_FRACTION * float(orders.max()))))
+    good = np.flatnonzero(peak & (orders >= max(FRAMES.least_order, FRAMES.least_fraction * float(orders.max()))))
     if not len(good):
         return None
     beat_us, order = float(beats_us[good[-1]]), float(orders[good[-1]])

@@ -105,7 +105,6 @@ class Ms5837(I2cSensor):
         """Readings that no water gives."""
         self.pressure_pa: float | None = None
         """Last reading, absolute."""
-        self.temperature_degc: float | None = None
 
     def open(self) -> None:
         """Reset the sensor and read its calibration. DriverError or OSError if it is not there."""
@@ -159,7 +158,7 @@ class Ms5837(I2cSensor):
                 raise DriverError("gives no sensible pressure; check `kind` and cable")
             return []
         self._bad = 0
-        self.pressure_pa, self.temperature_degc = pressure_pa, temperature_degc
+        self.pressure_pa = pressure_pa
         depth_m = (pressure_pa - self._options.surface_pa) / (self._options.density_kg_m3 * G_M_S2)
         taken_us = self._start_us + CONVERSION_US // 2
         return [DepthSample(t_us=taken_us, depth_m=depth_m, sigma_m=self._options.sigma_m)]

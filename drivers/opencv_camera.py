@@ -21,7 +21,8 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
-from autopilot.drivers.frame_clock import STREAM_SIGMA_US, FrameClock, LoopTime, StreamClock, machine_us
+from autopilot.drivers.drivers_tuning import FRAMES
+from autopilot.drivers.frame_clock import FrameClock, LoopTime, StreamClock, machine_us
 
 DEAD_US = 3_000_000
 """Without a picture for so long the camera is gone."""
@@ -168,7 +169,7 @@ class _Grabber:
                 if stamped_us is None:
                     sigma_us = beat.sigma_us
                 else:
-                    beat_us, sigma_us = stamped_us, STREAM_SIGMA_US
+                    beat_us, sigma_us = stamped_us, FRAMES.stream_sigma_us
                 good, image = self._capture.retrieve()
                 if not good or image is None:
                     self.missed += 1

@@ -89,10 +89,6 @@ class WaterLinkedA50(Closing):
         """Lines that are no report."""
         self.bad_samples = 0
         """Reports that no vehicle gives."""
-        self.unlocked = 0
-        """Reports without a velocity: nothing to measure against in reach."""
-        self.altitude_m: float | None = None
-        """Above the bottom, last report with a lock."""
 
     def open(self) -> None:
         if self._socket is not None:
@@ -144,7 +140,6 @@ class WaterLinkedA50(Closing):
         if report.time_of_transmission > 0:
             self.clock.stamp(t_us, report.time_of_transmission)
         if not report.velocity_valid:
-            self.unlocked += 1
             return None
         vel = np.array([report.vx, report.vy, report.vz])
         taken_us = t_us - self._delay_us(report)
@@ -152,7 +147,6 @@ class WaterLinkedA50(Closing):
             self.bad_samples += 1
             return None
         self._last_us = taken_us
-        self.altitude_m = report.altitude if report.altitude >= 0.0 else None
         return VelocitySample(
             t_us=taken_us,
             vel_frd_m_s=self._turn @ vel,

@@ -63,8 +63,7 @@ class CompiledUpdate:
         return None if compiled is None else CompiledUpdate(compiled)
 
     def _view(self, name: str, count: int | None = None) -> FloatArray:
-        array: FloatArray = np.frombuffer(getattr(self._work, name), count=-1 if count is None else count)
-        return array
+        return np.frombuffer(getattr(self._work, name), count=-1 if count is None else count)
 
     def _views_of(self, m: int) -> tuple[FloatArray, ...]:
         """Residual, Jacobian, noise, shared and inverse of m residuals."""

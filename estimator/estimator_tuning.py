@@ -636,3 +636,54 @@ class SecondLookTuning:
 
 
 SECOND_LOOK = SecondLookTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessNoiseTuning:
+    """Constants of :mod:`autopilot.estimator.tuning`."""
+
+    pos_noise: float = 2e-4
+    """m/sqrt(s): keeps the position gain alive at rest."""
+    gyro_noise: float = 1.1e-3
+    """rad/s/sqrt(Hz): 0.05 deg/s/sqrt(Hz) of the IG-500 class, and a quarter more for scale error and misalignment."""
+    accel_noise: float = 0.007
+    """m/s^2/sqrt(Hz), north and east: sensor noise is a third of this, the rest is what tilt errors do within a
+    second."""
+    accel_noise_down: float = 0.005
+    """m/s^2/sqrt(Hz), down: tilt errors leak in squared only."""
+    gyro_bias_walk: float = 1e-4
+    """rad/s/sqrt(s)"""
+    current_walk: float = 0.02
+    """m/s/sqrt(s): eddies that CURRENT_RATE does not describe."""
+    current_rate_walk: float = 0.04
+    """m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
+    for a moment, but a larger value lets errors of the drag pass for current."""
+    heading_offset_walk: float = 0.0087
+    """rad/sqrt(s), 0.5 degrees: steel of a tank."""
+    laser_bias_walk: float = 1e-3
+    """m/sqrt(s)"""
+    blind_gyro_noise: float = 0.2
+    """rad/s/sqrt(Hz) when there is no gyro."""
+    blind_accel_noise: float = 0.15
+    """m/s^2/sqrt(Hz) when the vehicle model stands in for the accelerometer."""
+    model_accel_noise: float = 0.04
+    """m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.03 m/s^2 that changes within a second, tether and
+    jet."""
+    tilted_gyro_noise: float = 0.01
+    """rad/s/sqrt(Hz) when the accelerometer is suspect: its tilt may be wrong, and with it the axis of turning."""
+    compass_noise: float = 0.03
+    """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
+    coast_fraction: float = 0.5
+    """Without vision current, drag and thrust cannot be told from the accelerometer's bias: their states wander by this
+    share only. What the current may do unseen comes on top (:mod:`.water`)."""
+    drag_walk: float = 0.004
+    """1/sqrt(s): drag changes over minutes."""
+    thrust_walk: float = 0.002
+    """1/sqrt(s): mass and propellers change over longer still."""
+    current_down_walk: float = 0.01
+    """m/s/sqrt(s), when the vertical current is a state: half of the horizontal ones."""
+    depth_offset_walk: float = 3e-4
+    """m/sqrt(s): tides, weather and a warming sensor move the offset by a centimetre in a quarter of an hour."""
+
+
+NOISE = ProcessNoiseTuning()

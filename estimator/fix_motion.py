@@ -74,7 +74,6 @@ class FixRun:
         self.count = len(run)
         self.inside = all(seen.inside for seen in run)
         t_s = 1e-6 * np.array([seen.t_us - run[0].t_us for seen in run])
-        self.span_s = float(t_s[-1])
         self._since = (t_s - t_s.mean())[:, None]
         self._z, y = _unwrapped([seen.z for seen in run]), _unwrapped([seen.y for seen in run])
         self.turned_rad = float(y[:, 3].mean())

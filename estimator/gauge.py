@@ -60,8 +60,7 @@ def laid_scales(pivots: FloatArray, offsets: FloatArray, sigma: FloatArray) -> F
 def common_covariance(pivots: FloatArray, sigma: FloatArray) -> FloatArray:
     """(4, 4) covariance of the sheets' common error about their mean, each laid with the accuracy (k, 4)."""
     common = common_columns(pivots)
-    result: FloatArray = np.asarray(np.linalg.inv((common.T / sigma.reshape(-1) ** 2) @ common), dtype=np.float64)
-    return result
+    return np.asarray(np.linalg.inv((common.T / sigma.reshape(-1) ** 2) @ common), dtype=np.float64)
 
 
 class Gauge:

@@ -13,6 +13,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.estimator.carry import PastUpdate, symmetric
 from autopilot.estimator.compiled_update import MOST, CompiledUpdate, Updated
+from autopilot.estimator.estimator_tuning import NOISE
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.ground import columns_of, entered, ground_of
 from autopilot.estimator.inertial import InertialStep, ProcessNoiseMode
@@ -42,7 +43,7 @@ from autopilot.estimator.states import (
     FilterState,
     SheetStates,
 )
-from autopilot.estimator.tuning import TILTED_GYRO_NOISE, process_noise
+from autopilot.estimator.tuning import process_noise
 
 VERTICAL_CURRENT_VARIANCE = 0.02**2
 """The vertical current is taken as zero unless it is a state; this is how wrong that may be [m^2/s^2]."""
@@ -91,7 +92,7 @@ class KalmanCore:
             noise[POS] += step.position_variance_m2
         more = step.yaw_variance_rad2
         if math.hypot(state.x.item(BIAS_AHEAD), state.x.item(BIAS_RIGHT)) > LEANING_M_S2:
-            more += TILTED_GYRO_NOISE**2 * step.dt_s
+            more += NOISE.tilted_gyro_noise**2 * step.dt_s
         if more:
             noise[YAW] += more
         x = self._motion.step(state.x, step)

@@ -307,8 +307,7 @@ class MarkerSolver:
         level = r_ned_from_frd(np.array([roll_rad, pitch_rad, 0.0])) @ self._camera.r_frd_from_cam
         full = np.concatenate((rays, np.ones((*rays.shape[:-1], 1))), axis=-1) @ level.T
         down = np.maximum(full[..., 2], 0.1)
-        result: np.ndarray = (full[..., 0] + 1j * full[..., 1]) / down
-        return result
+        return (full[..., 0] + 1j * full[..., 1]) / down
 
     def _refine(
         self,
@@ -527,10 +526,7 @@ def _worst_px(residual_px: FloatArray) -> FloatArray:
 
 def _fitting(worst_px: FloatArray) -> np.ndarray:
     """(n,) which markers fit to the others, by the worst of their corners (n,)."""
-    result: np.ndarray = worst_px <= max(
-        MARKERS_POSE.reject_floor_px, MARKERS_POSE.reject_sigmas * _median(worst_px.tolist())
-    )
-    return result
+    return worst_px <= max(MARKERS_POSE.reject_floor_px, MARKERS_POSE.reject_sigmas * _median(worst_px.tolist()))
 
 
 def _max_rms_px(round_left: int) -> float:
@@ -586,5 +582,4 @@ def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray, eye_depth_m: np.ndarra
         return None
     chosen = np.flatnonzero(agree[best])
     _, once = np.unique(seen[chosen], return_index=True)
-    result: IntArray = chosen[once]
-    return result
+    return chosen[once]

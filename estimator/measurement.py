@@ -59,5 +59,4 @@ class Measurement(ABC):
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
         """z - h(x) (m,), angles wrapped."""
-        y: FloatArray = z - predicted
-        return y
+        return z - predicted

@@ -39,5 +39,4 @@ class Relocation:
             return None
         if not all(agree(fix, other) for other in last):
             return None
-        velocity: FloatArray = (fix.z[:3] - first.z[:3]) / (1e-6 * span_us)
-        return velocity
+        return (fix.z[:3] - first.z[:3]) / (1e-6 * span_us)

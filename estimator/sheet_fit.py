@@ -169,8 +169,7 @@ class _SheetFit(CornerFit):
         print_px = self._sheets.sigma_m * self._camera.focal_water_px / away_m
         expected = self._expected[::8]
         scale, ratio = scatter(self._left / self._expected, self._keep, print_px / expected, self._jac.shape[1])
-        result: FloatArray = np.repeat(1.0 / ((scale * expected) ** 2 + 4.0 * ratio * print_px**2), 8)
-        return result
+        return np.repeat(1.0 / ((scale * expected) ** 2 + 4.0 * ratio * print_px**2), 8)
 
     def pose(self, max_rms_px: float) -> SheetPose | None:
         """The converged result, if it is acceptable."""
@@ -261,8 +260,7 @@ def _places(seen: SheetCorners, width: int) -> IntArray:
     on = np.flatnonzero(seen.sheet >= 0)
     rows = 8 * on[:, None, None] + np.arange(8)[:, None]
     columns = 7 + STATES * seen.sheet[on][:, None, None] + np.arange(STATES)
-    result: IntArray = rows * width + columns
-    return result
+    return rows * width + columns
 
 
 def _by_offsets(jac: FloatArray, arm: FloatArray) -> FloatArray:

@@ -358,8 +358,7 @@ class _Fit:
 
     def _without(self, columns: FloatArray) -> FloatArray:
         """Residual of (n, k) after the fit."""
-        result: FloatArray = columns - self._q @ (self._q.T @ columns)
-        return result
+        return columns - self._q @ (self._q.T @ columns)
 
     def beaten(self, known: int, others: FloatArray, floor: float) -> bool:
         """Whether one of (n, k) other causes explains the residual of column ``known`` far better than any delay."""
@@ -383,8 +382,7 @@ class _Fit:
     def near(self) -> NDArray[np.bool_]:
         """(n,) which are no outliers."""
         rest = np.abs(self._rest[:, self._squares[:-1].argmin()])
-        result: NDArray[np.bool_] = rest <= STAMP_MONITOR.far * max(_median(rest), 1e-5)
-        return result
+        return rest <= STAMP_MONITOR.far * max(_median(rest), 1e-5)
 
     def only(self, good: NDArray[np.bool_]) -> "_Fit":
         return _Fit(self._by[good], self._what[good])

@@ -127,8 +127,7 @@ class Goals:
     def _stopping_m(self, nav: NavState) -> FloatArray:
         """(3,) braking distance v^2 / 2a over ground."""
         vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
-        stopping_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * GOALS.stop_deceleration_m_s2))
-        return stopping_m
+        return vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * GOALS.stop_deceleration_m_s2))
 
     def _key(self) -> tuple[float, ...]:
         return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])

@@ -79,10 +79,17 @@ TERRAIN_FRAMES = frozenset({10, 11})
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class GoTo:
-    """Go to a point and stay for a while (NAV_WAYPOINT, NAV_LOITER_TIME, NAV_LOITER_UNLIM, NAV_TAKEOFF)."""
+class Numbered:
+    """Base class of the steps."""
 
     seq: int
+    """Number of its item."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GoTo(Numbered):
+    """Go to a point and stay for a while (NAV_WAYPOINT, NAV_LOITER_TIME, NAV_LOITER_UNLIM, NAV_TAKEOFF)."""
+
     pos_ned_m: FloatArray | None
     """(3,), None = where the vehicle is then."""
     yaw_rad: float | None
@@ -99,27 +106,23 @@ class GoTo:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Surface:
+class Surface(Numbered):
     """Go up and end the mission there (NAV_LAND)."""
 
-    seq: int
     pos_ned_m: FloatArray | None
     """(3,) where to go up (depth unused), None = where the vehicle is then."""
     yaw_rad: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReturnHome:
+class ReturnHome(Numbered):
     """Go home and end the mission there (NAV_RETURN_TO_LAUNCH)."""
-
-    seq: int
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LoiterTurns:
+class LoiterTurns(Numbered):
     """Circle around a position (NAV_LOITER_TURNS)."""
 
-    seq: int
     centre_ned_m: FloatArray | None
     """(3,), None = where the vehicle is then."""
     radius_m: float | None
@@ -130,18 +133,16 @@ class LoiterTurns:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Near:
+class Near(Numbered):
     """Condition met within a distance of the next position (CONDITION_DISTANCE)."""
 
-    seq: int
     distance_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Gate:
+class Gate(Numbered):
     """Condition met when a plane across the path to the next position is passed (CONDITION_GATE)."""
 
-    seq: int
     pos_ned_m: FloatArray
     """(3,) in the plane."""
     upright: bool
@@ -149,74 +150,64 @@ class Gate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wait:
+class Wait(Numbered):
     """Stay at the present goal for a time (NAV_DELAY, CONDITION_DELAY)."""
 
-    seq: int
     duration_s: float
     reported: bool
     """Whether its end is a MISSION_ITEM_REACHED (NAV commands only)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Jump:
+class Jump(Numbered):
     """Continue at another item, a number of times (DO_JUMP)."""
 
-    seq: int
     target_seq: int
     count: int | None
     """Times that the jump is taken, None = always."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChangeSpeed:
+class ChangeSpeed(Numbered):
     """Cruise speed from here on (DO_CHANGE_SPEED)."""
 
-    seq: int
     speed_m_s: float | None
     """None = back to the parameter's default."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetHeading:
+class SetHeading(Numbered):
     """Heading of goals that leave it free, from here on (CONDITION_YAW)."""
 
-    seq: int
     yaw_rad: float
     relative: bool
     """True = to be added to the vehicle's heading at that moment."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SetHome:
+class SetHome(Numbered):
     """New home (DO_SET_HOME)."""
 
-    seq: int
     pos_ned_m: FloatArray | None
     """(3,), None = where the vehicle is then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RegionOfInterest:
+class RegionOfInterest(Numbered):
     """Point that the vehicle faces from here on (DO_SET_ROI...)."""
 
-    seq: int
     place_ned_m: FloatArray | None
     """(2,), None = nothing any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NoOp:
+class NoOp(Numbered):
     """Requests the present state (DO_FENCE_ENABLE 1), or nothing (home before a mission)."""
-
-    seq: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class Order(Numbered):
     """Command to the payload, executed without stopping (SequencerOutput.orders); base class."""
-
-    seq: int
 
 
 Travel: TypeAlias = GoTo | Surface | ReturnHome

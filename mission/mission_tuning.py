@@ -82,6 +82,8 @@ class QgcPlanTuning:
     """Version of the mission, geoFence and rallyPoints objects."""
     autopilot_px4: int = 12
     type_submarine: int = 12
+    speed_m_s: float = 0.35
+    """Cruise and hover speed that are written."""
 
 
 QGC_PLAN = QgcPlanTuning()

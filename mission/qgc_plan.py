@@ -220,15 +220,13 @@ def _rally(rally: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
     return tuple(items)
 
 
-def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
+def write_qgc_plan(plan: PlanFile) -> str:
     """Text of a ``.plan`` file.
 
     Parameters
     ----------
     plan
         Content of the file.
-    speed_m_s
-        Cruise and hover speed written to the file [m/s].
 
     Returns
     -------
@@ -250,8 +248,8 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
             "firmwareType": QGC_PLAN.autopilot_px4,
             "vehicleType": QGC_PLAN.type_submarine,
             "globalPlanAltitudeMode": 1,
-            "cruiseSpeed": speed_m_s,
-            "hoverSpeed": speed_m_s,
+            "cruiseSpeed": QGC_PLAN.speed_m_s,
+            "hoverSpeed": QGC_PLAN.speed_m_s,
             "plannedHomePosition": [home.lat_deg, home.lon_deg, home.alt_m],
             "items": [_mission_entry(item) for item in without_home(plan.mission)],
         },

@@ -53,8 +53,7 @@ def ground_speed_m_s(direction: FloatArray, current: FloatArray, speed_m_s: floa
     """
     along = current @ direction
     radicand = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
-    result: FloatArray = np.where(radicand >= 0.0, along + np.sqrt(np.maximum(radicand, 0.0)), -np.inf)
-    return result
+    return np.where(radicand >= 0.0, along + np.sqrt(np.maximum(radicand, 0.0)), -np.inf)
 
 
 def slowest_leg(

@@ -126,8 +126,7 @@ class CameraFeed(LossySensor[CameraFrame]):
         blurred = cv2.GaussianBlur(image, (0, 0), CAMERA_FEED.fog_blur_px) if kind == "fog" else image
         noise = np.random.default_rng((self._count, 32)).normal(0.0, CAMERA_FEED.degraded_noise, image.shape[:2])
         degraded = gain * blurred + level + noise[..., None]
-        result: Image = np.clip(degraded, 0.0, 255.0).astype(np.uint8)
-        return result
+        return np.clip(degraded, 0.0, 255.0).astype(np.uint8)
 
 
 def simulated_camera(scenario: Scenario, vehicle: Vehicle, seed: int) -> CameraFeed:

@@ -263,8 +263,7 @@ def _blur_kernel(xx: float, yy: float, xy: float) -> NDArray[np.float32]:
     """Kernel with these second moments [px^2]: 3 x 3 while that is possible, else a Gaussian."""
     if max(xx, yy) < CAMERA_TUNED.small_blur_px2:
         skew = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 1.0]])
-        small: NDArray[np.float32] = (np.outer(_three(yy), _three(xx)) + xy / 4.0 * skew).astype(np.float32)
-        return small
+        return (np.outer(_three(yy), _three(xx)) + xy / 4.0 * skew).astype(np.float32)
     xx, yy = xx + 0.05, yy + 0.05  # never singular
     radius = min(8, math.ceil(2.2 * math.sqrt(max(xx, yy))))
     x, y = np.meshgrid(np.arange(-radius, radius + 1), np.arange(-radius, radius + 1))

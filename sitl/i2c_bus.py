@@ -28,8 +28,6 @@ class EmulatedI2c(AlwaysOpen):
         """What reads give instead of the chip's bytes, repeated; None = the truth."""
         self.cut = 0
         """Bytes that are missing at the end of every read."""
-        self.transactions = 0
-        """So far."""
 
     def write(self, address: int, data: bytes) -> None:
         """A write transaction. OSError (EREMOTEIO, as from Linux) without acknowledgement."""
@@ -46,7 +44,6 @@ class EmulatedI2c(AlwaysOpen):
         return self.read(address, count)
 
     def _chip(self, address: int) -> I2cChip:
-        self.transactions += 1
         if self.refused > 0:
             self.refused -= 1
         elif address in self.chips:

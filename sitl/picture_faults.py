@@ -144,8 +144,7 @@ def _noisy(image: Image, levels: float, index: int) -> Image:
     if levels == 0.0:
         return image
     noise = np.random.default_rng((index, 33)).normal(0.0, levels, image.shape[:2])
-    result: Image = np.clip(np.rint(image + noise[..., None]), 0, 255).astype(np.uint8)
-    return result
+    return np.clip(np.rint(image + noise[..., None]), 0, 255).astype(np.uint8)
 
 
 def _patched(image: Image, old: Image, fault: HalfFrozen) -> Image:

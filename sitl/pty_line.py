@@ -25,8 +25,6 @@ class PtyLine(Closing):
         """What a driver opens; there while the line is plugged in."""
         self._far: int | None = None
         self._near: int | None = None
-        self.lost_bytes = 0
-        """Bytes of the device that the line did not take."""
 
     def open(self) -> None:
         if self._far is None:
@@ -60,8 +58,6 @@ class PtyLine(Closing):
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line as if the device had sent them; a line that is unplugged or full loses them."""
-        sent = 0
         if self._far is not None:
             with contextlib.suppress(OSError):
-                sent = os.write(self._far, data)
-        self.lost_bytes += len(data) - sent
+                os.write(self._far, data)

@@ -78,11 +78,6 @@ def _on(curve: ThrustCurve, drive: ThrusterDrive, pwm_us: float) -> float:
     return one + (other - one) * (whole_us - low) / (high - low)
 
 
-def steady_thrust_n(drive: ThrusterDrive, pwm_us: float, supply_v: float) -> float:
-    """Thrust [N] that a pulse settles at, for a supply voltage [V]."""
-    return held(drive, pwm_us).at(supply_v)
-
-
 def wrench_of(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
     """(6, N) force and moment of 1 N of each thruster, where it really sits."""
     offsets, none = vehicle.body.thruster_offset_frd_m, (0.0, 0.0, 0.0)

@@ -16,6 +16,7 @@ from autopilot.control.current.currents import (
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
+from autopilot.log.analysis import STATE_FIELDS
 from autopilot.log.reader import Log, open_log
 
 STEP_S = 0.05
@@ -137,11 +138,6 @@ def _nav(flight: _Flight, row: int) -> NavState:
     return NavState(
         t_us=int(nav["t_us"]),
         health=NavHealth.GOOD,
-        pos_ned_m=nav["pos_ned_m"],
-        rpy_rad=nav["rpy_rad"],
-        vel_frd_m_s=nav["vel_frd_m_s"],
-        vel_water_frd_m_s=nav["vel_water_frd_m_s"],
-        rate_frd_rad_s=nav["rate_frd_rad_s"],
-        current_ned_m_s=nav["current_ned_m_s"],
         variance=flight.variance[row],
+        **{name: nav[name] for name in STATE_FIELDS},
     )

@@ -69,14 +69,14 @@ def b6_map() -> FlowMap:
     return FlowMap(time_s=time_s, north_m=north_m, east_m=east_m, current_north_m_s=u, current_east_m_s=v)
 
 
-def forecast_of(truth: FlowMap, *, error: float, rng: np.random.Generator, length_m: float = ERROR_LENGTH_M) -> FlowMap:
+def forecast_of(truth: FlowMap, *, error: float, rng: np.random.Generator) -> FlowMap:
     """The truth plus a steady smooth random flow whose root mean square is ``error`` (0.1 to 0.3) of the truth's."""
     from scipy.ndimage import gaussian_filter
 
     cell_m = float(truth.north_m[1] - truth.north_m[0])
     shape = (len(truth.north_m) + 1, len(truth.east_m) + 1)
     # White noise through a Gaussian of L / sqrt(2) has the covariance exp(-r^2 / 2 L^2).
-    psi = gaussian_filter(rng.standard_normal(shape), length_m / math.sqrt(2.0) / cell_m, mode="nearest")
+    psi = gaussian_filter(rng.standard_normal(shape), ERROR_LENGTH_M / math.sqrt(2.0) / cell_m, mode="nearest")
     u, v = _flow(psi * cell_m, cell_m)
     scale = error * truth.rms_m_s / math.sqrt(float(np.mean(u**2 + v**2)))
     return replace(

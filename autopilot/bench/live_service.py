@@ -32,7 +32,6 @@ def live_service(
     *connections: str,
     arguments: Sequence[str] = (),
     scenario: str = "open-water",
-    speed: float = 1.0,
     ends: Collection[int] = (0,),
 ) -> Iterator[LiveService]:
     """``autopilot sitl`` on a UDP and a TCP port and on further ``connections``, until the block ends.
@@ -45,7 +44,7 @@ def live_service(
         links = (f"udpin:{LOCAL}:{udp}", f"tcpin:{LOCAL}:{tcp}", *connections)
         child = Child(
             autopilot_command(
-                *("sitl", scenario, "--quiet", "--sensors", "pose", "--speed", f"{speed:g}", "--log", str(log)),
+                *("sitl", scenario, "--quiet", "--sensors", "pose", "--speed", "1", "--log", str(log)),
                 *(part for link in links for part in ("--connect", link)),
                 *arguments,
             ),
@@ -73,14 +72,14 @@ class Station:
     _parser: LinkParser = field(default_factory=LinkParser)
 
     @classmethod
-    def udp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
+    def udp(cls, port: int, sysid: int = 255) -> "Station":
         end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         end.connect((LOCAL, port))
-        return cls(end, sysid, compid)
+        return cls(end, sysid)
 
     @classmethod
-    def tcp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
-        return cls(socket.create_connection((LOCAL, port)), sysid, compid)
+    def tcp(cls, port: int) -> "Station":
+        return cls(socket.create_connection((LOCAL, port)))
 
     def send(self, message: Message) -> None:
         codec = mav.MAVLink(None, srcSystem=self.sysid, srcComponent=self.compid)

@@ -71,12 +71,11 @@ def bench_nmpc(
     steps: int = 400,
     others_every: int = 20,
     grids: Sequence[tuple[str, TimeGrid]] | None = None,
-    vehicle: Vehicle | None = None,
     cpu_clock: Callable[[], float] = time.thread_time,
     starts: int = STARTS,
 ) -> list[NmpcBenchRow]:
     """Fly ``steps`` steps (50 ms each) per row."""
-    vehicle = vehicle or load_vehicle("lbv150")
+    vehicle = load_vehicle("lbv150")
     rows: list[NmpcBenchRow] = []
     costs: dict[tuple[str, int], float] = {}
     for name, grid in grids or standard_grids():
@@ -236,9 +235,9 @@ def _row(
     )
 
 
-def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRow:
+def _random_starts(vehicle: Vehicle, starts: int) -> NmpcBenchRow:
     """Closed loops from random positions, headings and speeds in the tank: failures and the worst violation."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(42)
     features, params = Features(TANK), ParamSet({"MPC_COST": 0})
     controller = MotionController(vehicle)
     failures, into_m, over_m_s = 0, 0.0, 0.0

@@ -41,13 +41,11 @@ class LeverArm:
     """(3,)"""
     accel_bias_m_s2: FloatArray
     """(3,) body frame."""
-    measurements: int
 
     @property
     def observable(self) -> np.ndarray:
         """(3,) which components are known well enough."""
-        result: np.ndarray = self.sigma_m < EXTRINSICS.max_sigma_arm_m
-        return result
+        return self.sigma_m < EXTRINSICS.max_sigma_arm_m
 
 
 def mounting_rpy_rad(r_frd_from_cam: FloatArray) -> FloatArray:
@@ -115,7 +113,7 @@ def fit_lever_arm(flight: CameraFlight, fit: MotionFit) -> LeverArm | None:
     sigma = MOTION_FIT.sigma_factor * np.sqrt(
         np.diag(covariance(jacobian, target - jacobian @ x, weights, inverse, lags))
     )
-    return LeverArm(arm_frd_m=x[:3], sigma_m=sigma[:3], accel_bias_m_s2=x[3:], measurements=len(target))
+    return LeverArm(arm_frd_m=x[:3], sigma_m=sigma[:3], accel_bias_m_s2=x[3:])
 
 
 def _double_integrals(

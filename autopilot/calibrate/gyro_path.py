@@ -46,8 +46,7 @@ class GyroPath:
 
     def increments(self, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
         """(n, 3) rotation vectors from each begin to each end, body frame at the begin."""
-        result: FloatArray = (self.at(begin_s).inv() * self.at(end_s)).as_rotvec()
-        return result
+        return (self.at(begin_s).inv() * self.at(end_s)).as_rotvec()
 
 
 def _times(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -12,15 +12,13 @@ LEAST_SIGMA = 1e-12
 
 def robust_sigma(residual: FloatArray) -> FloatArray:
     """Standard deviation of each column of (n, c) from the median of its absolute values."""
-    sigma: FloatArray = np.maximum(MAD_TO_SIGMA * np.median(np.abs(residual), axis=0), LEAST_SIGMA)
-    return sigma
+    return np.maximum(MAD_TO_SIGMA * np.median(np.abs(residual), axis=0), LEAST_SIGMA)
 
 
 def huber_weights(residual: FloatArray, sigma: FloatArray) -> FloatArray:
     """Weights 1/sigma^2 of (n, c) residuals, reduced for outliers (Huber)."""
     scaled = np.abs(residual) / sigma
-    weights: FloatArray = np.minimum(1.0, HUBER / np.maximum(scaled, LEAST_SIGMA)) / sigma**2
-    return weights
+    return np.minimum(1.0, HUBER / np.maximum(scaled, LEAST_SIGMA)) / sigma**2
 
 
 def solve_weighted(

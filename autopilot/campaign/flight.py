@@ -71,8 +71,8 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         if flown is None:
             return None
         session, watch = flown
-        run = describe_run(session.scenario, session.parts, seed=task.seed, speed=0.0)
-        return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
+        run = describe_run(session.world.scenario, session.parts, seed=task.seed, speed=0.0)
+        return judge(task, session.world.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
 
 
 def check(task: Task) -> None:

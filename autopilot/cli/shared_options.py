@@ -1,12 +1,12 @@
 """Options shared by several commands."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.click_types import OneOf
-from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, VEHICLE_NAME
+from autopilot.cli.click_types import FiniteRange, OneOf
+from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, SCENARIO_NAME, VEHICLE_NAME
 from autopilot.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -64,6 +64,33 @@ CAMERA = click.option(
     help="Where a camera serves pictures of the floor (MJPEG over HTTP), e.g. 127.0.0.1:8090; with rtp:// to where it"
     " sends them (H.264).",
 )
+
+
+def simulated_ardusub(command: Any) -> Any:
+    """Arguments of the commands that simulate a vehicle with ArduSub: its water, hull, camera, end and truth."""
+    for option in (
+        click.option(
+            "--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each."
+        ),
+        click.option(
+            "--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many simulated seconds."
+        ),
+        click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
+        CAMERA,
+        click.option("--frame", type=OneOf(["vectored", "vectored_6dof"]), default="vectored", show_default=True),
+        click.option(
+            "--vehicle",
+            type=VEHICLE_NAME,
+            default="bluerov2",
+            show_default=True,
+            help="A shipped vehicle or a vehicle file.",
+        ),
+        click.argument("scenario", type=SCENARIO_NAME, default="paper-tank"),
+    ):
+        command = option(command)
+    return command
+
+
 QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
 CAMPAIGN_OUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign."

@@ -79,7 +79,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         while True:
             session, watch = _run(settings, overrides, instance, flights)
             again = watch.run_end is not None and watch.run_end.value == "again" and not stop
-            if not again and (session.steering is None or not session.steering.reset):
+            if not again and (session.world.steering is None or not session.world.steering.reset):
                 break
             _begin_anew(settings)
     to_the_end = settings["until"] == "complete"
@@ -118,7 +118,7 @@ def _run(
         watch = RunWatch(session, show)
         world, connections = session.world, ", ".join(settings["connect"])
         show(f"{world.scenario.scenario.name}: seed {world.seed}, speed {world.speed:g}, MAVLink on {connections}")
-        to_the_end, steering = settings["until"] == "complete", session.steering
+        to_the_end, steering = settings["until"] == "complete", session.world.steering
         try:
             wall_s = session.run(
                 stop=lambda: (

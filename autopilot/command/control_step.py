@@ -106,7 +106,7 @@ class ControlStep:
             return None
         self._hand.release()
         self._note_mode(t_us, decision.mode)
-        nav = self._actuation.nav_for_control(t_us, nav)
+        nav = self._actuation.delay.nav_for_control(t_us, nav)
         control = None
         if due or last_goal is None:
             control = self._control(t_us, nav, goal, fence)
@@ -164,11 +164,11 @@ class ControlStep:
             self._params,
             limit_n,
             self._tracks.round(t_us, nav.pos_ned_m),
-            delay_s=None if actuation.doubtful else actuation.delay_s,
+            delay_s=None if actuation.delay.doubtful else actuation.delay.delay_s,
         )
         control = checked_output(control, limit_n)
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
-        self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
+        self.solver_failures = 0 if solved or actuation.delay.doubtful else self.solver_failures + 1
         self._wanted_n, self.status = control.thrust_n, control.status
         self.ahead = control.nominal if len(control.nominal) else None
         self.path_left_m = _length_m(control.route_ned_m)

@@ -161,8 +161,7 @@ def _corners(shape: Shape) -> FloatArray:
     if isinstance(shape, Polygon):
         return np.asarray(shape.vertices_ned_m, dtype=float)
     angle = np.linspace(0.0, 2.0 * np.pi, MAP_CHECK.circle_places, endpoint=False)
-    points: FloatArray = shape.center_ned_m + shape.radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1)
-    return points
+    return shape.center_ned_m + shape.radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1)
 
 
 def plan_findings(current_map: CurrentMap, path: Path, origin: Origin | None) -> tuple[str, str]:

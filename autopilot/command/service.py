@@ -311,7 +311,7 @@ class Autopilot:
             self._environment.note_others(tick.inputs.t_us, tracks, removed, self._parts.commander.fence)
 
     def _estimate(self, tick: TickState) -> None:
-        tick.given = EstimatorInputs(thrust_n=self._actuation.effectiveness * tick.acting_n, samples=tick.poses)
+        tick.given = EstimatorInputs(thrust_n=self._actuation.losses.effectiveness * tick.acting_n, samples=tick.poses)
         tick.estimated = self._estimation.step(tick.inputs, tick.given)
         tick.nav = tick.estimated.nav
 
@@ -400,20 +400,20 @@ class Autopilot:
         status.nav_doubts = estimated.doubts
         tilted = environment.tilt_problem
         status.camera_problem = "" if tilted is None else tilted.text
-        status.thruster_effectiveness = actuation.effectiveness_values
-        status.thrusters_doubtful = actuation.doubtful_thrusters
-        status.thruster_problem = environment.thruster_problem or actuation.problem
+        status.thruster_effectiveness = actuation.losses.effectiveness_values
+        status.thrusters_doubtful = actuation.losses.doubtful
+        status.thruster_problem = environment.thruster_problem or actuation.losses.problem
         status.watchdog_problem = environment.devices.watchdog_problem
-        status.thrusters_unseen = actuation.unseen
-        status.command_delay_s = actuation.delay_s
+        status.thrusters_unseen = actuation.losses.unseen
+        status.command_delay_s = actuation.delay.delay_s
         status.fault = self._faults.problem(t_us)
         status.below = environment.below
         status.refusals = environment.refusals
-        status.sticks = server.sticks
+        status.sticks = server.pilot.sticks
         if server.last_gcs_t_us is not None:
             status.gcs_us = server.last_gcs_t_us
-        if server.last_pilot_t_us is not None:
-            status.pilot_us = server.last_pilot_t_us
+        if server.pilot.last_us is not None:
+            status.pilot_us = server.pilot.last_us
         status.thrust_n = motion.thrust_n
 
     def _take_verdicts(self, _: TickState) -> None:

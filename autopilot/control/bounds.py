@@ -82,8 +82,7 @@ class ProgramBounds:
 
 def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
     """Thrust limits (n,) [N] minus the back-offs."""
-    left: FloatArray = limit_n - np.minimum(back_off_n, TUBE.largest_thrust_fraction * limit_n)
-    return left
+    return limit_n - np.minimum(back_off_n, TUBE.largest_thrust_fraction * limit_n)
 
 
 class PlanClearance:

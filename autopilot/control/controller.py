@@ -27,7 +27,7 @@ from autopilot.control.path.guidance import Guidance, GuidanceInputs, Reference,
 from autopilot.control.path.planner import Planner
 from autopilot.control.path.strong_stream import StrongStream
 from autopilot.control.path.workers import BackgroundWorkers
-from autopilot.control.protocol import STEP_S, Controller, ControllerContext
+from autopilot.control.protocol import STEP_S, Controller, ControllerContext, simple_output
 from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
@@ -486,23 +486,9 @@ class MotionController:
         self._reversals.reset()
         self._window.clear()
         self._guidance.reset()
-        status = NmpcStatus(
-            t_us=t_us,
-            status=SolveStatus.IDLE,
-            fallback=Fallback.NEUTRAL,
-            iterations=0,
-            solve_s=self._cpu_clock() - began,
-            cost=0.0,
-            slack_max=0.0,
-            margin_m=0.0,
-        )
-        here = np.asarray(nav.pos_ned_m, dtype=float)[None]
-        return ControlOutput(
-            thrust_n=np.zeros(self._model.thrusters),
-            status=status,
-            horizon_ned_m=here.copy(),
-            route_ned_m=here[:, :2].copy(),
-        )
+        output, solve_s = simple_output(t_us, nav, np.zeros(self._model.thrusters)), self._cpu_clock() - began
+        status = replace(output.status, status=SolveStatus.IDLE, fallback=Fallback.NEUTRAL, solve_s=solve_s)
+        return replace(output, status=status)
 
 
 def _all_finite(*arrays: FloatArray) -> bool:

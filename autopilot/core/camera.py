@@ -139,8 +139,7 @@ class CameraModel:
         """World points (..., 3) in the camera frame for a vehicle at ``pos_ned_m`` (3,) with that attitude (3, 3)."""
         r_ned_from_cam = r_ned_from_frd @ self.r_frd_from_cam
         eye_ned_m = pos_ned_m + r_ned_from_frd @ self.position_frd_m
-        result: FloatArray = (points_ned_m - eye_ned_m) @ r_ned_from_cam
-        return result
+        return (points_ned_m - eye_ned_m) @ r_ned_from_cam
 
     def project(self, points_cam_m: FloatArray) -> FloatArray:
         """Pixels (..., 2) of points (..., 3) in the camera frame; NaN for those nearer than :attr:`near_m`."""
@@ -214,8 +213,7 @@ class CameraModel:
         scale = np.where(
             slope > 1e-9, self.port.water_slope(slope) / np.maximum(slope, 1e-9), 1.0 / self.port.water_index
         )
-        result: FloatArray = ideal * scale[..., None]
-        return result
+        return ideal * scale[..., None]
 
     def rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Origins of the rays of pixels (..., 2) at the water (..., 3) [m] and their directions (..., 3), with z = 1;

@@ -110,8 +110,7 @@ def fitting(name: str, array: FloatArray, *shape: int) -> int:
     if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
         wrong = f"{name} is {array.dtype} {array.shape}{'' if array.flags.c_contiguous else ', not contiguous'}"
         raise ValueError(f"{wrong}; give contiguous float64 {shape}")
-    address: int = array.ctypes.data
-    return address
+    return array.ctypes.data
 
 
 def load(*mirrors: type[Mirror]) -> Any:

@@ -17,47 +17,8 @@ from collections import deque
 from statistics import median
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.core_tuning import CLOCK
 from autopilot.core.notice_queue import NoticeQueue
-
-FAR_US = 50_000.0
-"""A difference that is off by more belongs to late samples, another latency or another setting of the clock."""
-STAYS_FAR_US = 35_000.0
-"""The same for the samples after one that is: hysteresis."""
-NEAR_US = 6_000.0
-"""One that is off by less is jitter."""
-EARLY_US = 10_000
-"""No stamp is later than the arrival by more, which drivers take off as latency."""
-STEADY_US, STEADY_COUNT = 150_000, 5
-"""A difference is steady if so many samples over so long"""
-STEADY_SPREAD_US = 25_000.0
-"""are within this spread."""
-WITHHELD_US = 400_000
-"""Samples that may be stamped wrongly are withheld no longer than this: then arrivals are the stamps. Samples that are
-a little late (a busy machine) move the mean at once if they have been so for as long."""
-LATE_BURST_US = 50_000
-"""Samples that a stalled line delivers late come at once; those that stay late for longer have a wrong stamp."""
-EVEN_US, EVEN_DEVIATIONS = 3_000.0, 4.0
-"""A step of the device is even if it differs from a multiple of the usual one by no more than this, or by so many of
-its mean deviations."""
-EXPLAINED_SHARE = 0.5
-"""A step is part of a jump if the difference without it is below this fraction."""
-AGAIN_SHARE = 0.8
-"""Of a jump back, what is to be seen of the times that come again: samples get lost."""
-MOST_LATENCY_US = 400_000.0
-"""No line on which a vehicle is flown is slower: what arrives earlier by more has a clock that has jumped."""
-MOST_DRIFT = 5e-4
-"""Of a quartz."""
-LOSSLESS, SKIPPED = 100, 3
-"""A line that has lost nothing for so many samples does not lose more than so many at once."""
-STEPS = 31
-"""Number of steps that show the usual one."""
-SETTLED = 100
-"""Stamps after which a clock is known; until then it may be set without a notice."""
-OFTEN, OFTEN_US = 3, 5_000_000
-"""Number of jumps within a time after which arrivals are used as stamps, until there has been none for as long."""
-TELL_EVERY_US = 5_000_000
-ANY_SPAN_US = 1 << 63
-"""Of a clock that does not wrap."""
 
 
 class DeviceClock(NoticeQueue):
@@ -66,11 +27,11 @@ class DeviceClock(NoticeQueue):
     CLIP_US = 5_000.0
     """A late arrival moves the mean no further than if it had been late by this."""
 
-    def __init__(self, span_us: int = ANY_SPAN_US) -> None:
+    def __init__(self, span_us: int = CLOCK.any_span_us) -> None:
         """``span_us``: the device's counter begins anew after this."""
         self._span_us = span_us
         self.jumps = 0
-        """Number of jumps of the device's clock by more than FAR_US."""
+        """Number of jumps of the device's clock by more than CLOCK.far_us."""
         super().__init__()
         self._unreported: list[int] = []
         self._reported_us: int | None = None
@@ -85,7 +46,7 @@ class DeviceClock(NoticeQueue):
         self._offset_us = self._least_us = 0.0
         self._steps = _Steps()
         self._run: _Run | None = None
-        self._jumped_us: deque[int] = deque(maxlen=OFTEN)
+        self._jumped_us: deque[int] = deque(maxlen=CLOCK.often)
         self._by_arrival = False
 
     def stamp(self, arrival_us: int, device_us: int) -> int | None:
@@ -123,19 +84,19 @@ class DeviceClock(NoticeQueue):
             self._least_us = difference
             return arrival_us
         passed_us = arrival_us - self._arrival_us
-        self._least_us += MOST_DRIFT * passed_us
+        self._least_us += CLOCK.most_drift * passed_us
         error = difference - self._offset_us
         ahead_us = self._device_us - self._front_us
         skips = self._steps.skips(ahead_us, passed_us) and _explains(ahead_us - self._steps.usual_us, error)
         self._steps.take(step_us)
         self._seen += 1
-        run = self._run_of(error, back=step_us < -MOST_LATENCY_US)
+        run = self._run_of(error, back=step_us < -CLOCK.most_latency_us)
         run.take(arrival_us, difference, self._device_us)
-        run.jumped |= skips or difference < self._least_us - MOST_LATENCY_US
+        run.jumped |= skips or difference < self._least_us - CLOCK.most_latency_us
         if run.far:
             stamped = self._when_far(arrival_us, difference, run)
             return stamped if step_us else None
-        lasts = run.side < 0 or arrival_us - run.since_us >= WITHHELD_US
+        lasts = run.side < 0 or arrival_us - run.since_us >= CLOCK.withheld_us
         self._least_us = min(self._least_us, difference)
         if run.side and lasts and run.is_steady(arrival_us):
             self._anchor(run.middle)
@@ -147,14 +108,14 @@ class DeviceClock(NoticeQueue):
 
     def _by_clock(self, arrival_us: int) -> int:
         """The stamp by the device's clock."""
-        return min(round(self._device_us + self._offset_us), arrival_us + EARLY_US)
+        return min(round(self._device_us + self._offset_us), arrival_us + CLOCK.early_us)
 
     def _run_of(self, error: float, *, back: bool) -> "_Run":
         """The run that a sample with this error belongs to. ``back``: the clock has gone back before it."""
         before = self._run
-        side = 0 if abs(error) <= NEAR_US else 1 if error > 0.0 else -1
+        side = 0 if abs(error) <= CLOCK.near_us else 1 if error > 0.0 else -1
         stays = before is not None and before.far and before.side == side
-        far = abs(error) > (STAYS_FAR_US if stays else FAR_US)
+        far = abs(error) > (CLOCK.stays_far_us if stays else CLOCK.far_us)
         if before is None or back or (before.side, before.far) != (side, far):
             before = self._run = _Run(side, far, self._arrival_us, self._front_us)
         return before
@@ -175,15 +136,15 @@ class DeviceClock(NoticeQueue):
         """The difference is far from its mean: late samples, another latency, or a jump."""
         late_us = difference - self._offset_us
         repeats = run.repeats(self._steps.usual_us, late_us)
-        if self._seen < SETTLED and (late_us < 0.0 or repeats):  # samples buffered at the start are late as well
+        if self._seen < CLOCK.settled and (late_us < 0.0 or repeats):  # samples buffered at the start are late as well
             self._least_us = difference
             self._anchor(difference)
             return arrival_us
         steady = run.is_steady(arrival_us)
-        if steady or arrival_us - run.since_us >= WITHHELD_US:
+        if steady or arrival_us - run.since_us >= CLOCK.withheld_us:
             settled = run.middle
             late_us = settled - self._offset_us
-            clear = abs(late_us) > (FAR_US if steady else MOST_LATENCY_US)
+            clear = abs(late_us) > (CLOCK.far_us if steady else CLOCK.most_latency_us)
             if clear and (run.jumped or run.repeats(self._steps.usual_us, late_us)):
                 self._note_jump(arrival_us, settled)
             self._least_us = min(self._least_us, settled)
@@ -191,7 +152,7 @@ class DeviceClock(NoticeQueue):
             return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
         if late_us < 0.0 or self._not_usable(arrival_us):
             return arrival_us
-        if repeats or arrival_us - run.first_arrival_us > LATE_BURST_US:
+        if repeats or arrival_us - run.first_arrival_us > CLOCK.late_burst_us:
             return None
         return self._by_clock(arrival_us)
 
@@ -200,20 +161,20 @@ class DeviceClock(NoticeQueue):
         self._unreported.append(round(self._offset_us - difference))
         self._jumped_us.append(t_us)
         self._least_us = difference
-        self._steps.lossless = LOSSLESS
+        self._steps.lossless = CLOCK.lossless
 
     def _not_usable(self, t_us: int) -> bool:
         """Whether the clock jumps so often that arrivals are the better stamps."""
         jumped = self._jumped_us
         if not self._by_arrival:
-            self._by_arrival = len(jumped) == OFTEN and t_us - jumped[0] <= OFTEN_US
-        elif t_us - jumped[-1] > OFTEN_US:
+            self._by_arrival = len(jumped) == CLOCK.often and t_us - jumped[0] <= CLOCK.often_us
+        elif t_us - jumped[-1] > CLOCK.often_us:
             self._by_arrival = False
             jumped.clear()
         return self._by_arrival
 
     def _tell(self, t_us: int) -> None:
-        if not self._unreported or (self._reported_us is not None and t_us - self._reported_us < TELL_EVERY_US):
+        if not self._unreported or (self._reported_us is not None and t_us - self._reported_us < CLOCK.tell_every_us):
             return
         self._reported_us = t_us
         last, times = f"{1e-6 * self._unreported[-1]:+.3g} s", len(self._unreported)
@@ -225,14 +186,14 @@ class DeviceClock(NoticeQueue):
 
 def _explains(more_us: float, error: float) -> bool:
     """Whether a clock that has gone on by so much more explains an error of the difference."""
-    return abs(error + more_us) < EXPLAINED_SHARE * abs(error)
+    return abs(error + more_us) < CLOCK.explained_share * abs(error)
 
 
 class _Steps:
     """Steps from one stamp to the next."""
 
     def __init__(self) -> None:
-        self._last: deque[int] = deque(maxlen=STEPS)
+        self._last: deque[int] = deque(maxlen=CLOCK.steps)
         self.usual_us = 0.0
         self._deviation_us = 0.0
         """Mean deviation of single steps from the usual one."""
@@ -250,7 +211,7 @@ class _Steps:
         self.usual_us = float(median(steps_us))
         self.lossless = self.lossless + 1 if step_us < 1.5 * self.usual_us else 0
         if self.lossless:
-            self._deviation_us += (abs(step_us - self.usual_us) - self._deviation_us) / STEPS
+            self._deviation_us += (abs(step_us - self.usual_us) - self._deviation_us) / CLOCK.steps
 
     def skips(self, step_us: int, passed_us: int) -> bool:
         """Whether the clock has gone further than samples lost since the last one, ``passed_us`` ago, explain."""
@@ -258,10 +219,10 @@ class _Steps:
         if not usual_us or step_us <= passed_us:
             return False
         steps = max(round(step_us / usual_us), 1)
-        if steps > 1 + SKIPPED and self.lossless >= LOSSLESS and passed_us < 2.0 * usual_us:
+        if steps > 1 + CLOCK.skipped and self.lossless >= CLOCK.lossless and passed_us < 2.0 * usual_us:
             return True
         # The usual step is known to a fraction of the deviation, which adds up over many.
-        even_us = max(EVEN_US, EVEN_DEVIATIONS * self._deviation_us) * max(1.0, steps / SKIPPED)
+        even_us = max(CLOCK.even_us, CLOCK.even_deviations * self._deviation_us) * max(1.0, steps / CLOCK.skipped)
         return abs(step_us - steps * usual_us) > even_us and even_us < 0.25 * usual_us
 
 
@@ -285,10 +246,10 @@ class _Run:
 
     def take(self, arrival_us: int, difference: float, device_us: int) -> None:
         if not self._last:
-            self.since_us = max(self.since_us, arrival_us - WITHHELD_US // 2)
+            self.since_us = max(self.since_us, arrival_us - CLOCK.withheld_us // 2)
             self.first_arrival_us = arrival_us
         self._last.append((arrival_us, difference))
-        while len(self._last) > STEADY_COUNT and arrival_us - self._last[1][0] >= STEADY_US:
+        while len(self._last) > CLOCK.steady_count and arrival_us - self._last[1][0] >= CLOCK.steady_us:
             self._last.popleft()
         if self._newest_us is None or device_us > self._newest_us:
             self._newest_us = device_us
@@ -300,11 +261,11 @@ class _Run:
         """Whether the device's clock has gone back: it shows, in order, times that it has shown before."""
         if self._newest_us is None or self._first_us is None or late_us <= 0.0:
             return False
-        if late_us > MOST_LATENCY_US and self._newest_us < self._front_us:
+        if late_us > CLOCK.most_latency_us and self._newest_us < self._front_us:
             return True
         back_us = self._front_us + usual_us - self._first_us
         again_us = self._count * usual_us - (self._newest_us - self._front_us)
-        return abs(late_us - back_us) < EXPLAINED_SHARE * late_us and again_us > AGAIN_SHARE * late_us
+        return abs(late_us - back_us) < CLOCK.explained_share * late_us and again_us > CLOCK.again_share * late_us
 
     @property
     def middle(self) -> float:
@@ -313,7 +274,7 @@ class _Run:
 
     def is_steady(self, arrival_us: int) -> bool:
         """Whether the last samples agree."""
-        if len(self._last) < STEADY_COUNT or arrival_us - self._last[0][0] < STEADY_US:
+        if len(self._last) < CLOCK.steady_count or arrival_us - self._last[0][0] < CLOCK.steady_us:
             return False
         differences = [difference for _, difference in self._last]
-        return max(differences) - min(differences) <= STEADY_SPREAD_US
+        return max(differences) - min(differences) <= CLOCK.steady_spread_us

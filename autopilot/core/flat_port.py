@@ -36,8 +36,7 @@ class FlatPort:
 
     def exit_radius(self, slope_air: FloatArray) -> FloatArray:
         """Radius [m] at which rays (...) of that tangent in the air enter the water."""
-        result: FloatArray = self.distance_m * slope_air + self.thickness_m * _refracted(slope_air, self.glass_index)
-        return result
+        return self.distance_m * slope_air + self.thickness_m * _refracted(slope_air, self.glass_index)
 
     def water_slope(self, slope_air: FloatArray) -> FloatArray:
         """Tangent in the water of rays (...) with that tangent in the air."""
@@ -48,8 +47,7 @@ class FlatPort:
         n2 = self.water_index**2
         sine2 = n2 * slope_water**2 / (1.0 + slope_water**2)
         sine2 = np.where(sine2 < 1.0, sine2, np.nan)
-        result: FloatArray = np.sqrt(sine2 / (1.0 - sine2))
-        return result
+        return np.sqrt(sine2 / (1.0 - sine2))
 
     def solve(self, radius_m: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Tangent u (...) in the air of the ray to points at that radius and depth, and du/d radius, du/d depth."""
@@ -66,8 +64,7 @@ class FlatPort:
 
 def _refracted(slope: FloatArray, index: float) -> FloatArray:
     """Tangent behind a surface to a medium of ``index`` of rays with tangent ``slope`` before it."""
-    result: FloatArray = slope / np.sqrt(index * index + (index * index - 1.0) * slope * slope)
-    return result
+    return slope / np.sqrt(index * index + (index * index - 1.0) * slope * slope)
 
 
 def _refracted_growth(slope: FloatArray, index: float) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.core.core_tuning import SPACE
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.shapes import bounding_box
@@ -22,45 +23,10 @@ from autopilot.core.shapes import bounding_box
 IntArray: TypeAlias = NDArray[np.intp]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-BASE_CELLS = 6000
-FINEST_BASE_M = 0.05
-"""Cells to begin with, and how small they are at least."""
-
-TIGHT_M = 0.02
-"""Cells are halved down to this."""
-
-MAX_CELLS = 40_000
-"""Largest number of cells; the rest stays coarse."""
-
-MAX_DOUBTFUL = 40_000
-"""Cells of one size that are searched for a place in their parts; of more the rest counts as not free."""
-
-MAX_ROUNDS = 24
-
-SETTLED_M = 5e-4
-"""Tolerance of the radius: passages that are open by a millimetre are found."""
-
-BEYOND_M = 2.5e-4
-"""Aimed at beyond the radius, for the slope is only that of the nearest boundary."""
 
 CHORD_LOSS_M = 1e-3
 """By how much the line between two places may cut a corner."""
 
-SETTLE_STEPS = 3
-"""Steps towards the middle of a passage: each moves away from the nearer side."""
-
-COMFORT_STEPS = 2
-"""Further steps towards positions with free lines to the neighbours, where there is space."""
-
-BISECTIONS = 9
-
-ONE_BOUNDARY = 0.8
-"""Gradients within a cell whose unit vectors agree to this cosine belong to one boundary: a blocked link stays
-blocked."""
-
-FIRST_ATTACH = 4
-ATTACH = 48
-"""Number of nearest positions tried for one with a free line."""
 
 KING = ((0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
 
@@ -105,10 +71,10 @@ class FreeSpace:
         ``check_cancel`` is called between the steps (it may raise, to end the work)."""
         self._ground, self.radius_m = ground, radius_m
         size = np.maximum(area.high_m - area.low_m, 1e-3)
-        self.base_cell_m = max(FINEST_BASE_M, math.sqrt(float(size[0] * size[1]) / BASE_CELLS))
+        self.base_cell_m = max(SPACE.finest_base_m, math.sqrt(float(size[0] * size[1]) / SPACE.base_cells))
         self._low = area.low_m
         self._shape = (int(size[0] / self.base_cell_m) + 1, int(size[1] / self.base_cell_m) + 1)
-        self._deepest = max(0, math.ceil(math.log2(self.base_cell_m / TIGHT_M) - 1e-9))
+        self._deepest = max(0, math.ceil(math.log2(self.base_cell_m / SPACE.tight_m) - 1e-9))
         self._reach_m = math.hypot(radius_m, 0.5 * long_moves * self.base_cell_m) + 1e-6
         self._cells = _Cells.none()
         self._pairs = np.zeros((0, 2), dtype=np.intp)
@@ -154,8 +120,7 @@ class FreeSpace:
     def lengths_m(self, pairs: IntArray) -> FloatArray:
         """(m,) between the places of pairs (m, 2)."""
         offset = self.places_ned_m[pairs[:, 1]] - self.places_ned_m[pairs[:, 0]]
-        length: FloatArray = np.hypot(offset[:, 0], offset[:, 1])
-        return length
+        return np.hypot(offset[:, 0], offset[:, 1])
 
     def regions(self) -> IntArray:
         """(n,) number of the connected region of every place."""
@@ -164,8 +129,7 @@ class FreeSpace:
 
         count, a, b = len(self.places_ned_m), self.links[:, 0], self.links[:, 1]
         graph = csr_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
-        labels: IntArray = connected_components(graph, directed=False)[1].astype(np.intp)
-        return labels
+        return connected_components(graph, directed=False)[1].astype(np.intp)
 
     def place_near(self, point_ned_m: FloatArray) -> tuple[int, float] | None:
         """The nearest position with a free line to a point (2,), else the nearest one, and its distance [m].
@@ -175,10 +139,10 @@ class FreeSpace:
         if not len(self.places_ned_m):
             return None
         away = np.hypot(*(self.places_ned_m - point_ned_m).T)
-        count = min(ATTACH, len(away))
+        count = min(SPACE.attach, len(away))
         near = np.argpartition(away, count - 1)[:count]
         near = near[np.lexsort((near, away[near]))]
-        for some in (near[:FIRST_ATTACH], near):
+        for some in (near[: SPACE.first_attach], near):
             sees = self.in_sight(point_ned_m, some)
             if sees.any():
                 break
@@ -191,14 +155,14 @@ class FreeSpace:
         from scipy.spatial import cKDTree
 
         best: IntArray = np.full(len(points_ned_m), -1)
-        most = min(ATTACH, len(self.places_ned_m))
+        most = min(SPACE.attach, len(self.places_ned_m))
         if not most or not len(points_ned_m):
             return best
         tree = cKDTree(self.places_ned_m)
         here, _ = self._ground.near(points_ned_m, self._reach_m)
         best[:] = tree.query(points_ned_m)[1]
         blind = np.flatnonzero(here > 0.0)
-        for count in (min(FIRST_ATTACH, most), most):
+        for count in (min(SPACE.first_attach, most), most):
             if not len(blind):
                 break
             near = np.asarray(tree.query(points_ned_m[blind], k=np.arange(1, count + 1))[1])
@@ -231,10 +195,10 @@ class FreeSpace:
         fresh = self._settle(np.zeros(len(row), dtype=np.intp), row, column, check_cancel)
         self._cells = fresh
         touched = np.flatnonzero(fresh.alive)
-        for _ in range(MAX_ROUNDS):
+        for _ in range(SPACE.max_rounds):
             self._join(touched)
             split = self._barred()
-            free_cells = (MAX_CELLS - int(self._cells.alive.sum())) // 3
+            free_cells = (SPACE.max_cells - int(self._cells.alive.sum())) // 3
             if not len(split) or free_cells <= 0:
                 break
             touched = self._halve(split[:free_cells], check_cancel)
@@ -251,7 +215,7 @@ class FreeSpace:
             check_cancel()
             cells, doubtful = self._classify(level, row, column)
             found.append(cells)
-            again = np.flatnonzero(doubtful & (level < self._deepest))[:MAX_DOUBTFUL]
+            again = np.flatnonzero(doubtful & (level < self._deepest))[: SPACE.max_doubtful]
             level, row, column = _quarters(level[again], row[again], column[again])
         return _Cells.joined(found)
 
@@ -267,24 +231,24 @@ class FreeSpace:
         one_sided = np.ones(len(maybe), dtype=bool)
         at, uphill, here = center[maybe], slope[maybe], clearance[maybe]
         low, high = center[maybe] - 0.5 * size[maybe, None], center[maybe] + 0.5 * size[maybe, None]
-        for step in range(SETTLE_STEPS + COMFORT_STEPS if len(maybe) else 0):
-            if step == SETTLE_STEPS:
+        for step in range(SPACE.settle_steps + SPACE.comfort_steps if len(maybe) else 0):
+            if step == SPACE.settle_steps:
                 at = place[maybe]
                 here, uphill = self._ground.near(at, reach)
-            target = self.radius_m + BEYOND_M if step < SETTLE_STEPS else wanted[maybe]
+            target = self.radius_m + SPACE.beyond_m if step < SPACE.settle_steps else wanted[maybe]
             at = np.clip(at + uphill * np.maximum(target - here, 0.0)[:, None], low, high)
             here, uphill = self._ground.near(at, reach)
             better = here > have[maybe]
             place[maybe[better]], have[maybe[better]] = at[better], here[better]
-            one_sided &= (uphill * slope[maybe]).sum(axis=1) > ONE_BOUNDARY
-        enough = self.radius_m - SETTLED_M
+            one_sided &= (uphill * slope[maybe]).sum(axis=1) > SPACE.one_boundary
+        enough = self.radius_m - SPACE.settled_m
         unsettled = np.flatnonzero(have[maybe] < enough)
         for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)) if len(unsettled) else ():
             there = center[maybe[unsettled]] + size[maybe[unsettled], None] * np.array(corner)
             here, uphill = self._ground.near(there, reach)
             better = here > have[maybe[unsettled]]
             place[maybe[unsettled[better]]], have[maybe[unsettled[better]]] = there[better], here[better]
-            one_sided[unsettled] &= (uphill * slope[maybe[unsettled]]).sum(axis=1) > ONE_BOUNDARY
+            one_sided[unsettled] &= (uphill * slope[maybe[unsettled]]).sum(axis=1) > SPACE.one_boundary
         free = have >= enough
         doubtful = np.zeros(len(level), dtype=bool)
         doubtful[maybe] = ~one_sided
@@ -348,7 +312,7 @@ class FreeSpace:
         free = np.ones(len(a), dtype=bool)
         edge = np.arange(len(a))
         need = np.broadcast_to(np.asarray(keep_m, dtype=float) - CHORD_LOSS_M, len(a))
-        for _ in range(BISECTIONS):
+        for _ in range(SPACE.bisections):
             step = b - a
             least = np.minimum(at_a, at_b)
             free[edge[least < need[edge]]] = False
@@ -440,5 +404,4 @@ def _quarters(level: IntArray, row: IntArray, column: IntArray) -> tuple[IntArra
 
 
 def _code(level: IntArray, row: IntArray, column: IntArray) -> NDArray[np.int64]:
-    code: NDArray[np.int64] = (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)
-    return code
+    return (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)

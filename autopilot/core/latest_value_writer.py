@@ -34,8 +34,8 @@ class WriteResult:
 class LatestValueWriter(Generic[Q]):
     """``write`` gets immutable states and may raise; a failed write is repeated."""
 
-    def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
-        self._worker, self._write, self._ticks = worker, write, ticks
+    def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None]) -> None:
+        self._worker, self._write = worker, write
         self._number = self._submitted = self._done = 0
         self._newest: Q | None = None
         self._task: BackgroundTask[int] | None = None
@@ -113,4 +113,4 @@ class LatestValueWriter(Generic[Q]):
             return number
 
         self._submitted, self._again_at = number, None
-        self._task = self._worker.submit(tick + self._ticks, work, state)
+        self._task = self._worker.submit(tick + KEEP_TICKS, work, state)

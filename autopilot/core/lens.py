@@ -109,8 +109,7 @@ class FisheyeLens:
         r = np.hypot(ideal[..., 0], ideal[..., 1])
         radius, _ = self._radius(np.arctan(r))
         scale = np.where(r > 1e-9, radius / np.maximum(r, 1e-9), 1.0)
-        result: FloatArray = ideal * scale[..., None]
-        return result
+        return ideal * scale[..., None]
 
     def slopes(self, ideal: FloatArray) -> FloatArray:
         """(..., 2, 2) derivatives of :meth:`bend`."""
@@ -130,8 +129,7 @@ class FisheyeLens:
             angle = np.clip(angle - (radius - target) / np.maximum(slope, 1e-3), 0.0, 1.6)
         angle = np.where(angle < 1.57, angle, np.nan)
         scale = np.where(target > 1e-9, np.tan(angle) / np.maximum(target, 1e-9), 1.0)
-        result: FloatArray = bent * scale[..., None]
-        return result
+        return bent * scale[..., None]
 
 
 def _radial_slopes(point: FloatArray, r: FloatArray, scale: FloatArray, growth: FloatArray) -> FloatArray:

@@ -157,8 +157,7 @@ class PlacedMarker:
     def corners_ned_m(self) -> FloatArray:
         """(4, 3)"""
         flat = np.column_stack((0.5 * self.size_m * CORNER_SIGNS, np.zeros(4)))
-        result: FloatArray = self.center_ned_m + flat @ self.r_ned_from_marker.T
-        return result
+        return self.center_ned_m + flat @ self.r_ned_from_marker.T
 
 
 def load_marker_map(path: Path) -> MarkerMap:

@@ -109,9 +109,9 @@ def param_text(values: Mapping[str, float], *, sysid: int = 1, more: tuple[str, 
     return "\n".join((*lines, *more)) + "\n"
 
 
-def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1) -> None:
+def write_param_file(path: Path, values: Mapping[str, float]) -> None:
     """Write ``values`` atomically in QGroundControl's form. ConfigError if the file cannot be written."""
-    write_result(path, param_text(values, sysid=sysid), folder=True)
+    write_result(path, param_text(values), folder=True)
 
 
 def kept_params(

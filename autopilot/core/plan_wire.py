@@ -1,10 +1,14 @@
 """Conversion of plan items to MISSION_ITEM_INT and back."""
 
+from dataclasses import fields
 from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.plan import PlanItem, PlanKind
+
+_SENT = tuple(field.name for field in fields(PlanItem) if field.name != "is_home")
+"""Fields of an item that the message has, by the same names."""
 
 
 def item_message(
@@ -20,16 +24,4 @@ def item_message(
 
 
 def item_of(message: Any) -> PlanItem:
-    return PlanItem(
-        seq=message.seq,
-        frame=message.frame,
-        command=message.command,
-        param1=message.param1,
-        param2=message.param2,
-        param3=message.param3,
-        param4=message.param4,
-        x=message.x,
-        y=message.y,
-        z=message.z,
-        autocontinue=message.autocontinue,
-    )
+    return PlanItem(**{name: getattr(message, name) for name in _SENT})

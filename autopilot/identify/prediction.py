@@ -51,8 +51,7 @@ class CoefficientScale:
 
     def values(self, steps: FloatArray) -> FloatArray:
         """(..., 14) coefficients of (..., 14) steps."""
-        result: FloatArray = self.base + self.scale * steps
-        return result
+        return self.base + self.scale * steps
 
 
 BUOYANCY_SCALE_N = 1.0

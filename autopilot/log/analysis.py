@@ -5,7 +5,7 @@ Verdicts are in :mod:`autopilot.log.check`. Times are seconds of the service's c
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -88,6 +88,10 @@ class VehicleTrack:
         return result
 
 
+STATE_FIELDS = tuple(field.name for field in fields(VehicleTrack) if field.name != "t_s")
+"""Of ``autopilot_msgs/VehicleState``, and of NavState."""
+
+
 @dataclass(frozen=True, slots=True)
 class Span:
     """A time from start to end, both included."""
@@ -97,8 +101,7 @@ class Span:
 
     def holds(self, t_s: FloatArray) -> BoolArray:
         """(n,)"""
-        result: BoolArray = (t_s >= self.start_s) & (t_s <= self.end_s)
-        return result
+        return (t_s >= self.start_s) & (t_s <= self.end_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -212,10 +215,7 @@ def along_track(track: VehicleTrack) -> FloatArray:
     moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
     speed = np.hypot(moved[:, 0], moved[:, 1])
     going = speed > 0.02
-    result: FloatArray = np.where(
-        going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0
-    )
-    return result
+    return np.where(going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0)
 
 
 def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, variance: FloatArray) -> FloatArray:
@@ -244,8 +244,7 @@ def thruster_names(flight: FlightRecord, commands: MessageTable) -> tuple[str, .
 
 def wrap(angles_rad: FloatArray) -> FloatArray:
     """The same angles in [-pi, pi)."""
-    result: FloatArray = (angles_rad + np.pi) % (2.0 * np.pi) - np.pi
-    return result
+    return (angles_rad + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def known_table(log: Log, topic: str) -> MessageTable | None:
@@ -280,10 +279,7 @@ def last_counts(log: Log) -> dict[str, int]:
 
 def _track(log: Log, topic: str) -> VehicleTrack | None:
     table = known_table(log, topic)
-    if table is None:
-        return None
-    fields = [name for name in VehicleTrack.__slots__ if name != "t_s"]
-    return VehicleTrack(t_s=seconds(table), **{name: table[name] for name in fields})
+    return None if table is None else VehicleTrack(t_s=seconds(table), **{name: table[name] for name in STATE_FIELDS})
 
 
 def _armed_span(log: Log, whole: Span) -> Span:

@@ -33,7 +33,7 @@ from autopilot.log.analysis import (
 from autopilot.log.check_more import more_rows
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import Log, MessageTable
-from autopilot.log.rows import BoundRow, BoundVerdict, counted, info
+from autopilot.log.rows import BoundRow, BoundVerdict, counted, info, judged
 from autopilot.log.smoothness import BARS, ThrustCommands, is_reported, measure
 
 __all__ = (
@@ -122,13 +122,8 @@ def _at_most(
         return [_missing(name, unit, limit)]
     at = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     worst = float(values[at])
-    margin = limit - worst
-    verdict = BoundVerdict.PASS if margin >= 0.0 else BoundVerdict.FAIL
-    at_s = float(t_s[at])
     note = "; ".join(part for part in (note, _beyond(t_s, values > limit) if unit else "") if part)
-    return [
-        BoundRow(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)
-    ]
+    return [judged(name, unit, limit, worst, limit - worst, broken=BoundVerdict.FAIL, at_s=float(t_s[at]), note=note)]
 
 
 def _at_least(
@@ -142,16 +137,11 @@ def _at_least(
     at = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
     worst = float(values[at])
     margin = worst - (limit - tolerance)
-    if not margin >= 0.0:
-        verdict = BoundVerdict.FAIL
-    else:
-        verdict = BoundVerdict.PASS if worst >= limit else BoundVerdict.WARN
     note = f"tol. {tolerance * 1000:.0f} mm" if tolerance else ""
     note = "; ".join(part for part in (note, _beyond(t_s, values < limit - tolerance)) if part)
-    at_s = float(t_s[at])
-    return [
-        BoundRow(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)
-    ]
+    row = judged(name, unit, limit, worst, margin, broken=BoundVerdict.FAIL, at_s=float(t_s[at]), note=note)
+    used = row.verdict is BoundVerdict.PASS and worst < limit
+    return [replace(row, verdict=BoundVerdict.WARN) if used else row]
 
 
 def _missing(name: str, unit: str, limit: float | None) -> BoundRow:
@@ -189,10 +179,9 @@ def _mission_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]:
     rows = []
     if run.accept.laps is not None:
         done, limit = float(len(spans)), float(run.accept.laps)
-        verdict = BoundVerdict.PASS if done >= limit else BoundVerdict.FAIL
         if not _was_started(flight):
             return [info("laps", "", 0.0, "the mission on board was not started")]
-        rows.append(BoundRow(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
+        rows.append(judged("laps", "", limit, done, done - limit, broken=BoundVerdict.FAIL))
     for waypoint in run.waypoints:
         rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
     return rows + _lap_rows(flight, run, spans)
@@ -230,15 +219,7 @@ def _waypoint_rows(stays: Sequence[Visit]) -> list[BoundRow]:
         rows.append(_reached(name, "rad", waypoint.accept_yaw_rad, turned.yaw_error_rad, turned, note))
     if reached < len(stays) and all(row.verdict is BoundVerdict.PASS for row in rows):
         missed = "never inside position and heading at once"
-        rows[0] = BoundRow(
-            name=rows[0].name,
-            unit="m",
-            limit=rows[0].limit,
-            worst=rows[0].worst,
-            margin=rows[0].margin,
-            verdict=BoundVerdict.FAIL,
-            note=f"{note}; {missed}",
-        )
+        rows[0] = replace(rows[0], verdict=BoundVerdict.FAIL, at_s=None, note=f"{note}; {missed}")
     return rows
 
 
@@ -356,11 +337,7 @@ def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
 
 def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> BoundRow:
     """Limit of smoothness: a warning, not a bound of the vehicle."""
-    verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
-    margin = limit - value
-    return BoundRow(
-        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, at_s=at_s, note=note
-    )
+    return judged(name, unit, limit, value, limit - value, at_s=at_s, note=note)
 
 
 def _health_rows(flight: FlightRecord) -> list[BoundRow]:

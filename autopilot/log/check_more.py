@@ -28,7 +28,7 @@ from autopilot.log.check_outside import link_rows, process_rows
 from autopilot.log.clipping import clipped
 from autopilot.log.drag_work import drag_work
 from autopilot.log.reader import MessageTable
-from autopilot.log.rows import BoundRow, BoundVerdict, at_most, counted, row, under
+from autopilot.log.rows import BoundRow, at_most, counted, judged, row, under
 from autopilot.log.settling import Stay, stays
 from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
@@ -203,18 +203,8 @@ def _estimator(flight: FlightRecord) -> list[BoundRow]:
         sensor = topic.removeprefix(AID_PREFIX)
         over = np.where(used, mine["innovation"], 0.0) / np.sqrt(np.where(used, mine["innovation_var"], 1.0))
         inside = float(np.mean((over[keep] ** 2).sum(axis=1) <= np.array(CHI2_95)[degrees[keep] - 1]))
-        verdict = BoundVerdict.PASS if inside >= LEAST_INSIDE else BoundVerdict.WARN
-        rows.append(
-            BoundRow(
-                name=f"{sensor}: innovations within 95 %",
-                unit="%",
-                limit=100.0 * LEAST_INSIDE,
-                worst=100.0 * inside,
-                margin=100.0 * (inside - LEAST_INSIDE),
-                verdict=verdict,
-                subject="Estimate",
-            )
-        )
+        name, margin = f"{sensor}: innovations within 95 %", 100.0 * (inside - LEAST_INSIDE)
+        rows.append(judged(name, "%", 100.0 * LEAST_INSIDE, 100.0 * inside, margin, subject="Estimate"))
         means = np.abs(over[keep].mean(axis=0))
         lag = _lag_one(over[keep][:, int(np.argmax(over[keep].std(axis=0)))])
         note = f"lag-1 autocorrelation {lag:.2f}"
@@ -354,20 +344,8 @@ def _power(flight: FlightRecord) -> list[BoundRow]:
         lowest = float(np.nanmin(battery["voltage_v"]))
         limit = 0.0 if flight.run is None else flight.run.parameters.get("BATT_LOW_VOLT", 0.0)
         if limit > 0.0:
-            verdict = BoundVerdict.PASS if lowest >= limit else BoundVerdict.WARN
-            margin = lowest - limit
-            rows.append(
-                BoundRow(
-                    name="lowest voltage",
-                    unit="V",
-                    limit=limit,
-                    worst=lowest,
-                    margin=margin,
-                    verdict=verdict,
-                    note="BATT_LOW_VOLT",
-                    subject="Power",
-                )
-            )
+            made = judged("lowest voltage", "V", limit, lowest, lowest - limit, note="BATT_LOW_VOLT")
+            rows.append(under("Power", made))
         else:
             rows.append(row("Power", "lowest voltage", "V", lowest))
     return rows

@@ -7,6 +7,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import ServiceThread
 from autopilot.log.analysis import FlightRecord, seconds
+from autopilot.log.mavlink_frames import STX_V2
 from autopilot.log.reader import MessageTable
 from autopilot.log.rows import BoundRow, at_most, row
 
@@ -25,7 +26,6 @@ LEAST_GROWTH_S = 60.0
 LEAST_CPU_MS_S = 1.0
 """CPU time per second of the vehicle's: threads below are not listed."""
 TIMESYNC, ACK, ACK_ACCEPTED, ACK_IN_PROGRESS = 111, 77, 0, 5
-MAVLINK2 = 0xFD
 
 
 def link_rows(flight: FlightRecord) -> list[BoundRow]:
@@ -75,7 +75,7 @@ def round_trips(received: MessageTable, sent: MessageTable) -> tuple[FloatArray,
 def _timesyncs(frames: MessageTable) -> list[tuple[int, int, int]]:
     """tc1, ts1 and time [us] of every TIMESYNC."""
     data = frames["data"]
-    those = (data[:, 0] == MAVLINK2) & (data[:, 7] == TIMESYNC) & (data[:, 8] == 0) & (data[:, 9] == 0)
+    those = (data[:, 0] == STX_V2) & (data[:, 7] == TIMESYNC) & (data[:, 8] == 0) & (data[:, 9] == 0)
     found = []
     for packet, t_us in zip(data[those], frames["t_us"][those].tolist(), strict=True):
         payload = bytes(packet[10 : 10 + int(packet[1])]).ljust(16, b"\0")  # zeros at the end are not sent
@@ -128,7 +128,7 @@ def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
 def lost_fraction(frames: MessageTable) -> float | None:
     """Share of messages missing by the sequence numbers of their senders; None with too few messages."""
     data = frames["data"]
-    mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
+    mine = (data[:, 0] == STX_V2) & (frames["length"] > 10)
     if int(mine.sum()) < FEWEST:
         return None
     heads = data[mine]
@@ -145,7 +145,7 @@ def lost_fraction(frames: MessageTable) -> float | None:
 def refused_commands(frames: MessageTable) -> list[tuple[int, int]]:
     """Command and result of every COMMAND_ACK that is not an acceptance."""
     data, length = frames["data"], frames["length"]
-    acks = data[(data[:, 0] == MAVLINK2) & (length > 12) & (data[:, 7] == ACK) & (data[:, 8] == 0) & (data[:, 9] == 0)]
+    acks = data[(data[:, 0] == STX_V2) & (length > 12) & (data[:, 7] == ACK) & (data[:, 8] == 0) & (data[:, 9] == 0)]
     found = []
     for ack in acks:
         result = int(ack[12]) if ack[1] > 2 else 0  # zeros at the end of a payload are not sent

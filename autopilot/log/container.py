@@ -15,13 +15,15 @@ from typing import IO
 
 import numpy as np
 import zstandard
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.log.mcap_file import MAGIC
 
-_SCHEMA, _CHANNEL, MESSAGE, _CHUNK, _CHUNK_INDEX = 0x03, 0x04, 0x05, 0x06, 0x08
-_FOOTER, _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 0x02, 0x09, 0x0B, 0x0C, 0x0F
+_SCHEMA, _CHANNEL, MESSAGE, _CHUNK = Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK
+_CHUNK_INDEX, _FOOTER, _ATTACHMENT = Opcode.CHUNK_INDEX, Opcode.FOOTER, Opcode.ATTACHMENT
+_STATISTICS, _METADATA, _DATA_END = Opcode.STATISTICS, Opcode.METADATA, Opcode.DATA_END
 _IN_FULL = (_SCHEMA, _CHANNEL, _CHUNK_INDEX, _ATTACHMENT, _STATISTICS, _METADATA, _FOOTER)
 _LOOSE = (_SCHEMA, _CHANNEL, MESSAGE)
 

@@ -151,7 +151,7 @@ class RunLog:
         self, writer: MessageSink, description: RunDescription, *, camera_period_us: int | None = CAMERA_US
     ) -> None:
         """``camera_period_us``: time between logged images, None = no images."""
-        self._writer = writer
+        self.writer = writer
         self._packer = Packer(writer.sink, writer.epoch_ns, description)
         self._camera_period_us = camera_period_us
         self._camera_us: int | None = None
@@ -159,46 +159,9 @@ class RunLog:
         self._lost = False
         """The last data did not fit into the queue."""
 
-    @property
-    def path(self) -> Path:
-        return self._writer.path
-
-    @property
-    def dropped(self) -> int:
-        """Messages lost so far, for ``LoopStats.dropped_log``."""
-        return self._writer.dropped
-
-    @property
-    def queued(self) -> tuple[int, int]:
-        """Messages and bytes that wait to be written."""
-        return self._writer.queued
-
-    @property
-    def failure(self) -> str | None:
-        """Why nothing is written any more, None while all is well."""
-        return self._writer.failure
-
-    @property
-    def cause(self) -> str:
-        """The failure in two or three words for an operator, "" while all is well."""
-        return self._writer.cause
-
-    @property
-    def finished(self) -> bool:
-        """Whether nothing is left to write after ``end``."""
-        return self._writer.finished
-
-    def take_error(self) -> Exception | None:
-        """Error in packing messages, each once; the log continues."""
-        return self._writer.take_error()
-
-    def end(self) -> None:
-        """No more messages: the file is finished in the background."""
-        self._writer.end()
-
     def close(self, timeout_s: float | None = None) -> None:
         """Finish the file and wait for it. LogError if the disk has failed or times out."""
-        self._writer.close(timeout_s)
+        self.writer.close(timeout_s)
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
         """A new description with its attachments (plans changed since the log began); readers use the last."""
@@ -284,7 +247,7 @@ class RunLog:
         """Queue for the thread. ``topic`` gets a gap in its sequence numbers when the queue is full; "" = none does."""
         if self._lost:
             work = _both(self._packer.after_loss, work)
-        self._lost = not self._writer.defer(topic, t_us, work, messages, size)
+        self._lost = not self.writer.defer(topic, t_us, work, messages, size)
 
 
 def _queue_size(samples: int, datagrams: int) -> tuple[int, int]:

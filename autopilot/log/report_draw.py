@@ -223,10 +223,10 @@ def add_legend(plot: Any, items: Items, place: str = "above") -> None:
     plot.add_layout(legend, place)
 
 
-def plain_figure(x_label: str, y_label: str, *, height_px: int = 260, **more: Any) -> Any:
+def plain_figure(x_label: str, y_label: str, **more: Any) -> Any:
     """A plot that is not over time."""
     plot = figure(
-        height=height_px,
+        height=260,
         sizing_mode="stretch_width",
         tools="pan,wheel_zoom,box_zoom,reset,save",
         toolbar_location="above",

@@ -574,8 +574,7 @@ def same_turn(curve: Curve, other: Curve) -> FloatArray:
     if not known.any() or not np.isfinite(curve.values).any():
         return curve.values
     apart = curve.values - np.interp(curve.t_s, other.t_s[known], other.values[known])
-    result: FloatArray = curve.values - 360.0 * np.round(np.nanmedian(apart) / 360.0)
-    return result
+    return curve.values - 360.0 * np.round(np.nanmedian(apart) / 360.0)
 
 
 def _ratio(values: FloatArray, sigma: FloatArray) -> FloatArray:

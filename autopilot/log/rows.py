@@ -33,14 +33,40 @@ class BoundRow:
     """Rows of one subject are grouped."""
 
 
+def judged(
+    name: str,
+    unit: str,
+    limit: float,
+    worst: float,
+    margin: float,
+    *,
+    broken: BoundVerdict = BoundVerdict.WARN,
+    at_s: float | None = None,
+    note: str = "",
+    subject: str = "",
+) -> BoundRow:
+    """A figure with a limit: ``broken`` if its margin is negative or not known."""
+    verdict = BoundVerdict.PASS if margin >= 0.0 else broken
+    return BoundRow(
+        name=name,
+        unit=unit,
+        limit=limit,
+        worst=worst,
+        margin=margin,
+        verdict=verdict,
+        at_s=at_s,
+        note=note,
+        subject=subject,
+    )
+
+
 def info(name: str, unit: str, value: float | None, note: str = "") -> BoundRow:
     return BoundRow(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=BoundVerdict.INFO, note=note)
 
 
 def counted(name: str, value: int, note: str = "") -> BoundRow:
     """Something that should not happen but breaks no bound."""
-    verdict = BoundVerdict.WARN if value else BoundVerdict.PASS
-    return BoundRow(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)
+    return judged(name, "", 0.0, float(value), float(-value), note=note)
 
 
 def row(subject: str, name: str, unit: str, value: float, note: str = "") -> BoundRow:
@@ -54,8 +80,4 @@ def under(subject: str, made: BoundRow) -> BoundRow:
 
 def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> BoundRow:
     """A figure with a warning above a limit."""
-    verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
-    margin = limit - value
-    return BoundRow(
-        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, note=note, subject=subject
-    )
+    return judged(name, unit, limit, value, limit - value, note=note, subject=subject)

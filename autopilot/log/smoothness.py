@@ -148,15 +148,13 @@ def _begins(t_s: FloatArray, starts_s: FloatArray) -> NDArray[np.bool_]:
         return np.zeros(len(t_s), dtype=bool)
     starts = np.sort(starts_s)
     last = starts[np.maximum(np.searchsorted(starts, t_s, side="right") - 1, 0)]
-    result: NDArray[np.bool_] = (t_s >= last) & (t_s <= last + START_S)
-    return result
+    return (t_s >= last) & (t_s <= last + START_S)
 
 
 def _saturated(commands: ThrustCommands) -> NDArray[np.bool_]:
     """(n-1, thrusters) differences that begin or end at the limit."""
     at = np.abs(commands.thrust_n) >= AT_LIMIT * commands.limit_n
-    result: NDArray[np.bool_] = at[1:] | at[:-1]
-    return result
+    return at[1:] | at[:-1]
 
 
 def _reversals(thrust_n: FloatArray) -> int:

@@ -31,8 +31,7 @@ class ThrusterPower:
         """(thrusters,) taken in a span; each value holds until the next."""
         mine = span.holds(self.t_s)
         lasts_s = np.diff(self.t_s[mine], append=min(span.end_s, float(self.t_s[-1])) if mine.any() else 0.0)
-        result: FloatArray = self.power_w[mine].T @ np.maximum(lasts_s, 0.0)
-        return result
+        return self.power_w[mine].T @ np.maximum(lasts_s, 0.0)
 
 
 def thruster_power(flight: FlightRecord) -> ThrusterPower | None:

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from autopilot.core.errors import LogError
+from autopilot.log.mavlink_frames import STX_V1 as V1
+from autopilot.log.mavlink_frames import STX_V2 as V2
 
 STAMP_BYTES = 8
-V1, V2 = 0xFE, 0xFD
 HEADER_BYTES = {V1: 6, V2: 10}
 CHECKSUM_BYTES, SIGNATURE_BYTES, SIGNED = 2, 13, 0x01
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000

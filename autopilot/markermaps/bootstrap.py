@@ -140,8 +140,7 @@ class _World:
 
     def _corners_m(self, index: int) -> FloatArray:
         marker = self.markers[index]
-        result: FloatArray = marker.center_ned_m + square(marker.size_m) @ marker.r_ned_from_marker.T
-        return result
+        return marker.center_ned_m + square(marker.size_m) @ marker.r_ned_from_marker.T
 
     def _pixels(self, index: int, eye: FloatArray, r: FloatArray) -> FloatArray:
         """(4, 2), far outside where there is no projection."""

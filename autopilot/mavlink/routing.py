@@ -39,8 +39,6 @@ class Router:
         self._ctx, self._ours = ctx, ours
         self._places: LatestUsed[Component, LatestUsed[Address, None]] = LatestUsed(MAX_KNOWN)
         self._passed: RecentKeys[bytes] = RecentKeys(AGAIN_US * ctx.patience)
-        self.forwarded = 0
-        """Packets passed on so far."""
 
     def note_frame(self, address: Address, frame: bytes) -> None:
         """A complete packet with a valid checksum from an accepted sender."""
@@ -98,7 +96,6 @@ class Router:
             beside |= speak_old
         if link in ctx.budgets:
             ctx.budgets[link].spend(len(frame))
-        self.forwarded += 1
         ctx.tx.append(MavlinkFrame(link=link, client=client, data=Verbatim(frame), beside=beside))
 
 

@@ -23,7 +23,6 @@ from autopilot.mavlink.api import (
     CommandResult,
     FlightMode,
     SigningStore,
-    Sticks,
     VehicleCommands,
     VehicleView,
 )
@@ -366,21 +365,6 @@ class MavlinkServer:
         return self._intake.dropped
 
     @property
-    def last_pilot_t_us(self) -> int | None:
-        """When a pilot's sticks were last received; None before the first."""
-        return self.pilot.last_us
-
-    @property
-    def sticks(self) -> Sticks | None:
-        """A pilot's stick positions, None = no pilot."""
-        return self.pilot.sticks
-
-    @property
-    def uploading(self) -> bool:
-        """A plan is being transferred to us."""
-        return self.missions.uploading
-
-    @property
     def busy(self) -> bool:
         """Whether a client waits for more than the next decision: a transfer, messages left over, a fast stream."""
         return (
@@ -392,11 +376,6 @@ class MavlinkServer:
             or self._events.sending
             or self._logs.sending
         )
-
-    @property
-    def utc_offset_us(self) -> int | None:
-        """Unix time minus service time [us] as a ground station gave it (SYSTEM_TIME), None before."""
-        return self.utility.utc_offset_us
 
     def take_notices(self) -> tuple[Event, ...]:
         """Texts that the server itself has sent to operators since the last call (plans accepted or refused), for the

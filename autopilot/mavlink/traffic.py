@@ -33,9 +33,6 @@ _VEHICLE, _ADSB, _AIS, _BEAM = 1 << 28, 2 << 28, 3 << 28, BEAM_TRACKS
 """Offsets of track numbers by source, above those of our own sensors."""
 _NUMBER = (1 << 28) - 1
 
-_COORDS, _ALTITUDE, _HEADING, _VELOCITY = 1, 2, 4, 8
-"""ADSB_FLAGS of what is valid."""
-
 MAX_BEAMS = 72
 MAX_BLOBS = 24
 """Cylinders out of one sensor, the nearest first."""
@@ -82,11 +79,11 @@ class TrafficReports:
 
     def on_adsb_vehicle(self, peer: MavlinkPeer, msg: Message) -> None:
         """ADSB_VEHICLE, with any subset of valid fields."""
-        if not msg.flags & _COORDS:
+        if not msg.flags & mav.ADSB_FLAGS_VALID_COORDS:
             return
-        altitude_m = msg.altitude * 1e-3 if msg.flags & _ALTITUDE else self._altitude_m
+        altitude_m = msg.altitude * 1e-3 if msg.flags & mav.ADSB_FLAGS_VALID_ALTITUDE else self._altitude_m
         velocity = 0j
-        if msg.flags & _VELOCITY and msg.flags & _HEADING:
+        if msg.flags & mav.ADSB_FLAGS_VALID_VELOCITY and msg.flags & mav.ADSB_FLAGS_VALID_HEADING:
             velocity = _along(msg.heading * 0.01, msg.hor_velocity * 0.01)
         place = (deg_from_e7(msg.lat), deg_from_e7(msg.lon), altitude_m)
         number = _ADSB | msg.ICAO_address & _NUMBER

@@ -63,6 +63,13 @@ class ServiceRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Revision, as reported to clients."""
 
 
+SAME = (
+    *("profile", "instance", "controller", "estimator", "floor_depth_m"),
+    *("links", "patience", "waits_for_plans", "pictures", "git"),
+)
+"""Fields that are those of :class:`autopilot.run.compose.ServiceSetup`."""
+
+
 def read_record(log: Log) -> ServiceRecord:
     """Record of a log's service. LogError if it is missing, or of a newer version."""
     data = log.attachments.get(SERVICE_FILE)

@@ -23,6 +23,7 @@ from autopilot.mavlink.api import SigningState
 from autopilot.record.estimator_setup import read_markers, read_setup, read_vehicle
 from autopilot.record.service_setup import (
     CURRENTS_FILE,
+    SAME,
     SERVICE_FILE,
     START_PLANS_FILE,
     ServiceRecord,
@@ -67,29 +68,20 @@ def service_again(
         params=params,
         origin=origin,
         markers=read_markers(log.attachments),
-        floor_depth_m=record.floor_depth_m,
-        estimator=record.estimator,
         estimator_asked_by=f"{log.path}: {SERVICE_FILE}",
-        controller=record.controller,
         controller_asked_by=f"{log.path}: {SERVICE_FILE}",
-        profile=record.profile,
-        instance=record.instance,
         currents=forecast_of(
             record.currents.kind,
             record.currents.basin,
             lambda: _formula(log) if current_map is None else MappedCurrent(current_map),
         ),
         current_check=None if current_map is None else MapCheck(current_map, origin),
-        links=record.links,
         rates={int(link): rate for link, rate in record.rates.items()},
-        patience=record.patience,
         saving=_Saving() if record.saving else None,
         signing=store,
         log_directory=log_directory,
-        pictures=record.pictures,
-        waits_for_plans=record.waits_for_plans,
-        git=record.git,
         nondeterminism=nondeterminism,
+        **{name: getattr(record, name) for name in SAME},
     )
     read_setup(log)  # named now if it is damaged
     service, parts = build_service(setup)

@@ -1,6 +1,5 @@
 """Logged inputs of the estimator, tick by tick, bit-identical."""
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -70,19 +69,11 @@ def _text(field: Any) -> str:
 
 def drive(row: Any) -> VelocityGoal | None:
     """Velocity goal from a row of ``/ctl/drive``, None = the goal is a position."""
-    if not row["active"]:
-        return None
-    down_m_s, yaw_rate_rad_s = float(row["down_m_s"]), float(row["yaw_rate_rad_s"])
-    return VelocityGoal(
-        north_m_s=float(row["north_m_s"]),
-        east_m_s=float(row["east_m_s"]),
-        turn_rad_s=float(row["turn_rad_s"]),
-        down_m_s=None if math.isnan(down_m_s) else down_m_s,
-        yaw_rate_rad_s=None if math.isnan(yaw_rate_rad_s) else yaw_rate_rad_s,
-        yaw_trend_rad_s=float(row["yaw_trend_rad_s"]),
-    )
+    goal: VelocityGoal | None = _velocity_goal(row) if row["active"] else None
+    return goal
 
 
+_velocity_goal = reader_of(VelocityGoal)
 SAMPLES: dict[str, Callable[[Any], Sample]] = {
     row.topic: reader_of(row.of, known=row.known, shapes=row.shapes)
     for row in SAMPLE_ROWS

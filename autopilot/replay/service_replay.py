@@ -6,7 +6,7 @@ flight.
 """
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -108,7 +108,6 @@ def replay_service(
     *,
     changes: Iterable[tuple[str, float]] = (),
     out: Path | None = None,
-    on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> ReplayResult:
     """Replay the inputs of a log into its service and compare all outputs with the log.
 
@@ -120,8 +119,6 @@ def replay_service(
         Parameter name and value of each parameter that differs from the log's.
     out
         Where to keep the log of the replay, None = it is deleted.
-    on_tick
-        Called with the outputs of every tick.
 
     Returns
     -------
@@ -143,7 +140,6 @@ def replay_service(
                 record.inputs(inputs)
                 record.outputs(outputs)
                 ticks += 1
-                on_tick(outputs)
         finally:
             record.close()
         if not ticks:

@@ -16,7 +16,6 @@ from autopilot.command.service import Autopilot
 from autopilot.command.service_parts import ServiceParts
 from autopilot.control.current.current_learning import Basin, EstimatedFlow
 from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent, NoCurrent
-from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import Controller, ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
@@ -116,26 +115,17 @@ def _is_finite(value: object) -> bool:
 def build_service(
     setup: ServiceSetup,
     *,
-    desks: BackgroundWorkers | None = None,
-    trajectories: TrajectoryPlanner | None = None,
     around: Callable[[Controller], Controller] | None = None,
 ) -> tuple[Autopilot, ServiceParts]:
-    """The service and its parts (the runtime needs some of them for persistence and the log). ``desks``: workers
-    for the controller's background work, by default a thread per kind of work; ``trajectories``: energy-optimal
-    planner, by default the shipped one; ``around``: puts something round the controller.
+    """The service and its parts (the runtime needs some of them for persistence and the log). ``around``: puts
+    something round the controller.
     """
     params, vehicle, nondeterminism = setup.params, setup.vehicle, setup.nondeterminism
-    desks = desks or BackgroundWorkers.beside(blocking=setup.waits_for_plans)
+    desks = BackgroundWorkers.beside(blocking=setup.waits_for_plans)
     checks = BackgroundWorker(ThreadPoolExecutor(1, thread_name_prefix="plans"), blocking=setup.waits_for_plans)
     for name, worker in zip((*desks.names, "plans"), (*desks.executors, checks), strict=True):
         worker.witnessed(name, nondeterminism)
-    context = ControllerContext(
-        vehicle=vehicle,
-        model=vehicle.to_model(),
-        currents=setup.currents,
-        desks=desks,
-        trajectories=trajectories,
-    )
+    context = ControllerContext(vehicle=vehicle, model=vehicle.to_model(), currents=setup.currents, desks=desks)
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
     controller = controller if around is None else around(controller)
     margin_m = controller.goal_margin_m(params)

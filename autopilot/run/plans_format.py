@@ -69,21 +69,9 @@ def stored_item(item: PlanItem) -> _Item:
 
 
 def plan_item(item: _Item) -> PlanItem:
-    param1, param2, param3, param4 = (float(value) for value in item.params)
-    return PlanItem(
-        seq=item.seq,
-        frame=item.frame,
-        command=item.command,
-        param1=param1,
-        param2=param2,
-        param3=param3,
-        param4=param4,
-        x=item.x,
-        y=item.y,
-        z=float(item.z),
-        autocontinue=item.autocontinue,
-        is_home=item.is_home,
-    )
+    fields = msgspec.structs.asdict(item)
+    params = {f"param{n}": float(value) for n, value in enumerate(fields.pop("params"), start=1)}
+    return PlanItem(**{**fields, **params, "z": float(item.z)})
 
 
 def place_of(origin: Origin) -> _OriginEntry:

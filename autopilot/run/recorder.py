@@ -94,7 +94,7 @@ class RunRecorder(NoticeQueue):
     def path(self) -> Path | None:
         """Path of the present log, None without one (or while it is being created in the background)."""
         log = self._log
-        return None if log is None or log.failure is not None or log.path == NO_FILE else log.path
+        return None if log is None or log.writer.failure is not None or log.writer.path == NO_FILE else log.writer.path
 
     def still(self, exposure_us: int, png: bytes) -> None:
         if self._log is not None:
@@ -103,13 +103,13 @@ class RunRecorder(NoticeQueue):
     @property
     def dropped(self) -> int:
         """Messages of all logs that were lost so far."""
-        now = 0 if self._log is None else self._log.dropped
-        return self._dropped_before + now + sum(log.dropped for log, _ in self._ending)
+        now = 0 if self._log is None else self._log.writer.dropped
+        return self._dropped_before + now + sum(log.writer.dropped for log, _ in self._ending)
 
     @property
     def queued(self) -> tuple[int, int]:
         """Messages and bytes that wait to be written to the present log."""
-        return (0, 0) if self._log is None else self._log.queued
+        return (0, 0) if self._log is None else self._log.writer.queued
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         self._describe_news(inputs.t_us, outputs.mode.armed)
@@ -121,14 +121,14 @@ class RunRecorder(NoticeQueue):
         log.tick(
             inputs, outputs, frames, None if source is None else SimulationRecord(source.truth, source.payload_levels)
         )
-        if log.failure is not None:
+        if log.writer.failure is not None:
             self._failed(log)
-        elif log.dropped and not self._slow_reported:
+        elif log.writer.dropped and not self._slow_reported:
             self._slow_reported = True
-            self._tell(notices.LOG_DISK_SLOW(), f"log {log.path}: messages lost, the disk is too slow")
+            self._tell(notices.LOG_DISK_SLOW(), f"log {log.writer.path}: messages lost, the disk is too slow")
         if self._per_arming and not self._armed:
             self._end()
-        error = log.take_error()
+        error = log.writer.take_error()
         if error is not None:
             raise error  # to the guard, as if it had occurred here
 
@@ -173,24 +173,24 @@ class RunRecorder(NoticeQueue):
         if self._waits:
             self._close(log, None, reported=False)
         else:
-            log.end()
+            log.writer.end()
             self._ending.append((log, False))
 
     def _close_ended(self) -> None:
         """Logs that were being finished beside the loop."""
-        if not any(log.finished for log, _ in self._ending):
+        if not any(log.writer.finished for log, _ in self._ending):
             return
-        done = [(log, reported) for log, reported in self._ending if log.finished]
-        self._ending = [(log, reported) for log, reported in self._ending if not log.finished]
+        done = [(log, reported) for log, reported in self._ending if log.writer.finished]
+        self._ending = [(log, reported) for log, reported in self._ending if not log.writer.finished]
         for log, reported in done:
             self._close(log, None, reported=reported)
 
     def _failed(self, log: RunLog) -> None:
         """Continue without a log that has failed; the next arming tries again."""
-        self._tell(notices.LOG_STOPPED(cause=log.cause), f"log {log.path}: {log.failure}")
+        self._tell(notices.LOG_STOPPED(cause=log.writer.cause), f"log {log.writer.path}: {log.writer.failure}")
         self._log = None
         self.lost = True
-        log.end()
+        log.writer.end()
         self._ending.append((log, True))
 
     def _close(self, log: RunLog, timeout_s: float | None, *, reported: bool) -> None:
@@ -198,11 +198,11 @@ class RunRecorder(NoticeQueue):
             log.close(timeout_s)
         except LogError as error:
             if not reported:
-                self._tell(notices.LOG_STOPPED(cause=log.cause or "disk does not answer"), str(error))
-        missed = log.take_error()
+                self._tell(notices.LOG_STOPPED(cause=log.writer.cause or "disk does not answer"), str(error))
+        missed = log.writer.take_error()
         if missed is not None:
-            self._tell(notices.LOG_INCOMPLETE(), f"log {log.path}: {type(missed).__name__}: {missed}")
-        self._dropped_before += log.dropped
+            self._tell(notices.LOG_INCOMPLETE(), f"log {log.writer.path}: {type(missed).__name__}: {missed}")
+        self._dropped_before += log.writer.dropped
 
     def _tell(self, text: notices.OperatorText, reason: str) -> None:
         self.failure = reason

@@ -20,6 +20,7 @@ from autopilot.log.writer import LogHead, Payload
 from autopilot.record.estimator_setup import estimator_attachments
 from autopilot.record.service_setup import (
     CURRENTS_FILE,
+    SAME,
     SERVICE_FILE,
     START_PLANS_FILE,
     CurrentsRecord,
@@ -151,28 +152,19 @@ def service_attachments(setup: ServiceSetup, parts: ServiceParts, current_source
     """Record of the service in its state before the first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(
-        profile=setup.profile,
-        instance=setup.instance,
-        controller=setup.controller,
-        estimator=setup.estimator,
         origin=(setup.origin.lat_deg, setup.origin.lon_deg, setup.origin.alt_m),
-        floor_depth_m=setup.floor_depth_m,
         currents=CurrentsRecord(
             kind=current_source.kind,
             basin=current_source.basin,
             map_suffix="" if current_source.map_file is None else current_source.map_file.suffix,
             map_start_utc=current_source.map_start,
         ),
-        links=setup.links,
         rates={str(link): rate for link, rate in setup.rates.items()},
-        patience=setup.patience,
-        waits_for_plans=setup.waits_for_plans,
         saving=setup.saving is not None,
         shelf=setup.log_directory is not None,
-        pictures=setup.pictures,
         signing=None if signing is None else SigningRecord(key=signing.key is not None, stamp=signing.stamp),
         parameters=dict(setup.params),
-        git=setup.git,
+        **{name: getattr(setup, name) for name in SAME},
     )
     plans = parts.plans
     start = PlansSnapshot(

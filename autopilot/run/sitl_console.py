@@ -46,7 +46,7 @@ class RunWatch:
         state = None if outputs.progress is None else outputs.progress.state
         self._was_active |= armed and state is ProgressState.ACTIVE
         self.complete |= self._was_active and state is ProgressState.COMPLETE
-        self.over |= self._was_active and not armed and self._session.operator is not None
+        self.over |= self._was_active and not armed and self._session.world.operator is not None
         self._armed = armed
 
     @property
@@ -77,7 +77,7 @@ class RunWatch:
             return
         if arming or plans.items(PlanKind.FENCE):
             self._looked_at = plans.revision
-            for text in unknown_obstacles(self._session.scenario, self._session.parts.commander.fence):
+            for text in unknown_obstacles(self._session.world.scenario, self._session.parts.commander.fence):
                 self._lines.line(t_us, f"! {text}")
 
 

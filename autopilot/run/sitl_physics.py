@@ -1,32 +1,24 @@
 """Physics backend for ArduPilot SITL: serves a scenario's plant over the JSON interface (UDP)."""
 
-import json
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
+from typing import Any
 
 import msgspec
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.vehicle import load_vehicle
-from autopilot.drivers.links import open_link
-from autopilot.run.truth_file import opened_truth
+from autopilot.run.sitl_ardusub_world import ArduSubWorld
 from autopilot.sitl.ardupilot_json import JsonPhysics
-from autopilot.sitl.ardusub_emulator import check_frame
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
-from autopilot.sitl.camera_process import CameraPlace, opened_camera
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import load_scenario, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 
 LOOK_S = 0.2
 """Interval at which an idle server checks whether to stop."""
 SILENT_S = 5.0
 """Silence of ArduPilot after which a hint is printed."""
-TRACK_US = 100_000
-"""Interval of lines in the truth file."""
 MAX_PACKET = 2048
 
 
@@ -57,39 +49,28 @@ def home_of(scenario: Scenario) -> str:
 
 
 def serve_physics(
-    scenario_name: str,
-    vehicle_name: str,
-    frame: str,
+    listen: tuple[str, int],
     *,
-    host: str,
-    port: int,
-    pose: Sequence[str],
-    camera: CameraPlace | None,
-    seed: int,
-    duration_s: float | None,
-    truth_file: Path | None,
+    duration: float | None,
     stop: Callable[[], bool],
     tell: Callable[[str], None],
+    **world: Any,
 ) -> PhysicsFlight:
-    """Answer ArduPilot until ``stop`` or for a simulated duration. ``pose``: link of the tracking system's
-    reports; ``camera``: where one has its pictures. ConfigError if a port cannot be opened.
+    """Answer ArduPilot until ``stop`` or for a simulated duration [s]. ``listen``: host and port; ``world``: arguments
+    of :class:`.ArduSubWorld`. ConfigError if a port cannot be opened.
     """
-    scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
-    hull = load_vehicle(vehicle_name)
-    check_frame(hull, frame)
+    around = ArduSubWorld(tell=tell, **world)
+    scenario, (host, port) = around.scenario, listen
     vehicles: list[ArduSubVehicle] = []
 
     def fresh() -> Callable[[int, tuple[int, ...]], Truth]:
-        vehicles.append(ArduSubVehicle(scenario, hull, frame, seed=seed))
+        vehicles.append(around.new_vehicle())
         return vehicles[-1].driven
 
     physics = JsonPhysics(
-        fresh, None if scenario.tank is None else scenario.tank.depth_m, hull.depth_sensor.position_frd_m
+        fresh, None if scenario.tank is None else scenario.tank.depth_m, around.hull.depth_sensor.position_frd_m
     )
-    track = opened_truth(truth_file)
-    trackers = [open_link(text) for text in pose]
-    pictures = opened_camera(scenario, hull, seed, camera, tell)
-    flight, end_us = PhysicsFlight(), None if duration_s is None else 1e6 * duration_s
+    flight, end_us = PhysicsFlight(), None if duration is None else 1e6 * duration
     received_s = began_s = time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         try:
@@ -100,7 +81,6 @@ def serve_physics(
             ) from error
         tell(f"{scenario.scenario.name}: waiting for ArduPilot on UDP {host}:{server.getsockname()[1]}")
         spoke = silent = False
-        next_track_us = 0
         try:
             while not stop() and (end_us is None or physics.t_us < end_us):
                 if not select.select((server,), (), (), LOOK_S)[0]:
@@ -118,31 +98,16 @@ def serve_physics(
                 if answer is None or physics.truth is None:
                     continue
                 if not spoke or physics.restarts > before:
-                    began_s, next_track_us = received_s, 0
+                    began_s = received_s
+                    if physics.restarts > before:
+                        around.restart()
                     tell(f"ArduPilot speaks from {peer[0]}:{peer[1]}" if not spoke else "ArduPilot began anew")
                 spoke, silent = True, False
                 server.sendto(answer, peer)
-                if pictures is not None:
-                    if physics.restarts > before:
-                        pictures.restart()
-                    pictures.tilt(vehicles[-1].camera_off_rad)
-                    pictures.observe(physics.truth)
-                report = vehicles[-1].pose(physics.t_us)
-                for link in trackers if report is not None else ():
-                    link.recv(physics.t_us)
-                    link.send(report or b"")
-                start = scenario.vehicle.start_m
-                away_m = sum((a - b) ** 2 for a, b in zip(physics.truth.pos_ned_m, start, strict=True)) ** 0.5
-                flight.max_distance_m = max(flight.max_distance_m, float(away_m))
-                if track is not None and physics.t_us >= next_track_us:
-                    next_track_us += TRACK_US
-                    row = [1e-6 * physics.t_us, *physics.truth.pos_ned_m.tolist(), *physics.truth.rpy_rad.tolist()]
-                    track.write(json.dumps([*row, *vehicles[-1].controller.servos_us]).encode() + b"\n")
+                around.observe(physics.t_us, vehicles[-1], physics.truth)
         finally:
-            for device in (*trackers, *(() if pictures is None else (pictures,))):
-                device.close()
-            if track is not None:
-                track.close()
+            around.close()
+            flight.max_distance_m = around.max_distance_m
     return _account(flight, physics, time.monotonic() - began_s)
 
 

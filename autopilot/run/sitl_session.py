@@ -7,10 +7,7 @@ from typing import Unpack
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient
 from autopilot.run.session import Session, SessionOptions, open_session
-from autopilot.run.sitl_view import Steering
 from autopilot.run.sitl_world import SimulatedDevice, SimulatedWorld
-from autopilot.sitl.operator import ScriptedOperator
-from autopilot.sitl.scenario_tables import Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -19,20 +16,6 @@ class SitlSession(Session):
 
     world: SimulatedWorld
     device: SimulatedDevice
-
-    @property
-    def scenario(self) -> Scenario:
-        return self.world.scenario
-
-    @property
-    def operator(self) -> ScriptedOperator | None:
-        """Automatic operator that starts the plan, None without ``--start``."""
-        return self.world.operator
-
-    @property
-    def steering(self) -> Steering | None:
-        """Executes the live view's requests on the simulation; None without a view."""
-        return self.world.steering
 
 
 def open_sitl(

@@ -17,6 +17,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.log.description import RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.sitl_world_view import flow_view, solid_views
 from autopilot.run.world import WatchedService
@@ -36,7 +37,6 @@ from autopilot.view.controls import (
     added_text,
     moved_text,
 )
-from autopilot.view.feed import TruthSeen
 from autopilot.view.page_state import FaultOffer, FlowView, Solid, Steerable
 
 ANSWER_S = 5.0
@@ -48,7 +48,7 @@ class WatchedSitl(WatchedService):
         super().__init__(parts, describe)
         self._vehicle = vehicle
 
-    def truth(self) -> TruthSeen | None:
+    def truth(self) -> LoggedTruth | None:
         return self._vehicle.truth
 
     def solids(self) -> tuple[Solid, ...]:

@@ -20,6 +20,7 @@ from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.log.record_table import TruthLike
 from autopilot.mission.plan_files import PlanFile
 from autopilot.mission.store import CurrentCheck
@@ -28,7 +29,6 @@ from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
 from autopilot.view.controls import Controls
-from autopilot.view.feed import TruthSeen
 from autopilot.view.page_state import Solid
 
 
@@ -79,7 +79,7 @@ class WatchedService:
     def fence(self) -> Fence:
         return self._parts.commander.fence
 
-    def truth(self) -> TruthSeen | None:
+    def truth(self) -> LoggedTruth | None:
         return None
 
     def solids(self) -> tuple[Solid, ...]:

@@ -12,7 +12,8 @@ import msgspec
 from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
 from autopilot.core.toml_table import Table
-from autopilot.view.page_state import FlowView, Point2, Steerable
+from autopilot.log.description import Point2
+from autopilot.view.page_state import FlowView, Steerable
 
 MAX_SPEED, MIN_SPEED = 20.0, 0.1
 MAX_FLOW_M_S = 1.0

@@ -12,12 +12,14 @@ from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Output
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.description import RunDescription
+from autopilot.log.analysis import STATE_FIELDS
+from autopilot.log.description import Point2, Point3, RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.log.scene import outline
 from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_s
 from autopilot.view.controls import Steered
 from autopilot.view.feed import CapturedPicture as TakenPicture
-from autopilot.view.feed import TickSnapshot, TruthSeen
+from autopilot.view.feed import TickSnapshot
 from autopilot.view.page_state import (
     BatteryView,
     Control,
@@ -31,15 +33,12 @@ from autopilot.view.page_state import (
     ObstacleView,
     Outline,
     PictureView,
-    Point2,
-    Point3,
     ProgressView,
     SceneView,
     SensorView,
     Steerable,
     TrueState,
     ViewFrame,
-    WaypointView,
 )
 
 DIGITS = 4
@@ -64,7 +63,7 @@ def scene_of(
             Outline(inclusion=shape.inclusion, corners_m=tuple((_number(n), _number(e)) for n, e in outline(shape)))
             for shape in run.fence
         ),
-        places=_places(run),
+        places=run.waypoints,
         limits=Limits(
             planar_speed_m_s=bounds["planar_speed_m_s"],
             heave_m_s=bounds["heave_m_s"],
@@ -211,30 +210,12 @@ def _point3(values: FloatArray) -> Point3:
     return _number(first), _number(second), _number(third)
 
 
-def _places(run: RunDescription) -> tuple[WaypointView, ...]:
-    return tuple(
-        WaypointView(
-            name=place.name,
-            pos_ned_m=place.pos_ned_m,
-            yaw_rad=place.yaw_rad,
-            accept_radius_m=place.accept_radius_m,
-            accept_yaw_rad=place.accept_yaw_rad,
-        )
-        for place in run.waypoints
-    )
-
-
 def _estimate(nav: NavState, age_s: float) -> Estimate:
     sigma = np.sqrt(np.maximum(nav.variance, 0.0))
     return Estimate(
         age_s=age_s,
         health=nav.health.name,
-        pos_ned_m=_point3(nav.pos_ned_m),
-        rpy_rad=_point3(nav.rpy_rad),
-        vel_water_frd_m_s=_point3(nav.vel_water_frd_m_s),
-        vel_frd_m_s=_point3(nav.vel_frd_m_s),
-        rate_frd_rad_s=_point3(nav.rate_frd_rad_s),
-        current_ned_m_s=_point3(nav.current_ned_m_s),
+        **{name: _point3(getattr(nav, name)) for name in STATE_FIELDS},
         sigma_pos_m=_point3(sigma[0:3]),
         sigma_yaw_rad=_number(sigma[5]),
         resets=nav.reset_count,
@@ -242,7 +223,7 @@ def _estimate(nav: NavState, age_s: float) -> Estimate:
     )
 
 
-def _truth(truth: TruthSeen, count: int) -> TrueState:
+def _truth(truth: LoggedTruth, count: int) -> TrueState:
     return TrueState(
         pos_ned_m=_point3(truth.pos_ned_m),
         rpy_rad=_point3(truth.rpy_rad),

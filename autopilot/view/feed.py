@@ -37,6 +37,7 @@ from autopilot.core.samples import (
 )
 from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.log.description import RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.view.page_state import Solid
 
 FRAME_S = 0.1
@@ -58,25 +59,6 @@ DEVICES = {kind: row for row in SENSOR_ROWS if row.device != CAMERA for kind in 
 """Devices by sample type; pictures are handled separately."""
 
 
-class TruthSeen(Protocol):
-    """Displayed part of a simulated vehicle's ground truth."""
-
-    @property
-    def pos_ned_m(self) -> FloatArray: ...
-    @property
-    def rpy_rad(self) -> FloatArray: ...
-    @property
-    def current_ned_m_s(self) -> FloatArray: ...
-    @property
-    def thrust_n(self) -> FloatArray: ...
-    @property
-    def power_w(self) -> float: ...
-    @property
-    def contact_count(self) -> int: ...
-    @property
-    def contact_depth_m(self) -> float: ...
-
-
 class Watched(Protocol):
     """Data beside the loop's inputs and outputs. Called by the loop only, while there are viewers."""
 
@@ -90,7 +72,7 @@ class Watched(Protocol):
 
     def fence(self) -> Fence: ...
 
-    def truth(self) -> TruthSeen | None:
+    def truth(self) -> LoggedTruth | None:
         """Where a simulated vehicle really is."""
         ...
 
@@ -143,7 +125,7 @@ class TickSnapshot:
     scene: int
     description: RunDescription
     fence: Fence
-    truth: TruthSeen | None
+    truth: LoggedTruth | None
     solids: tuple[Solid, ...]
     latest: LatestValues
     messages: tuple[tuple[int, Event], ...]

@@ -13,9 +13,7 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
-from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
-    AidState,
     AidStatus,
     ControlOutput,
     EnergyPlan,
@@ -34,8 +32,9 @@ from autopilot.core.messages import (
 )
 from autopilot.core.samples import MarkerSighting, ObstacleTrack, PowerSample
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.analysis import obstacle_position
-from autopilot.log.description import FenceItemDescription, RunDescription
+from autopilot.log.analysis import STATE_FIELDS, obstacle_position
+from autopilot.log.description import FenceItemDescription, Point2, Point3, RunDescription
+from autopilot.log.log_session import LoggedTruth
 from autopilot.log.moments import Fields, LogMoments
 from autopilot.log.packing.records import reader_of
 from autopilot.log.reader import Log
@@ -44,14 +43,12 @@ from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL, read_path
 from autopilot.view.controls import DragCurrent, DragObstacle, Steered, ViewError, dragged
 from autopilot.view.encode import frame_of, message_of, picture_view, plan_points_m, scene_of
-from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, UNKNOWN_NED_M, LatestValues, TickSnapshot, TruthSeen
+from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, UNKNOWN_NED_M, LatestValues, TickSnapshot
 from autopilot.view.page_state import (
     FlowView,
     LogFramesView,
     LogView,
     PictureView,
-    Point2,
-    Point3,
     SceneView,
     Solid,
     Steerable,
@@ -80,7 +77,9 @@ _status, _plan, _progress, _mode, _health, _power, _track = (
         ObstacleTrack,
     )
 )
-_STATE = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s")
+_aid = reader_of(AidStatus, beside=("sensor", "fit"))
+_loop = reader_of(LoopStats, beside=("part_s", "part_cpu_s", "ticks_s", "ticks_cpu_s", "process"))
+_of_goal = reader_of(Goal, beside=("yaw_rad", "speed_asked", "following", "drive", "facing_ned_m"))
 
 
 class World(Protocol):
@@ -262,13 +261,13 @@ class LogFrames:
         return NavState(
             t_us=row["t_us"],
             health=NavHealth.INVALID if status is None else NavHealth(int(status["health"])),
-            **{name: row[name] for name in _STATE},
+            **{name: row[name] for name in STATE_FIELDS},
             variance=np.zeros(12) if covariance is None else covariance["variance"],
             reset_count=0 if status is None else int(status["reset_count"]),
             doubts=frozenset(doubt for bit, doubt in enumerate(NavDoubt) if bits >> bit & 1),
         )
 
-    def _truth(self, t_us: int) -> TruthSeen | None:
+    def _truth(self, t_us: int) -> LoggedTruth | None:
         row, acting = self._latest("/sim/truth", t_us), self._latest("/sim/thrusters", t_us)
         contact = self._latest("/sim/contact", t_us)
         if row is None:
@@ -280,7 +279,7 @@ class LogFrames:
             contact_count=0 if contact is None else int(contact["count"]),
             contact_depth_m=0.0 if contact is None else float(contact["penetration_m"]),
         )
-        made: TruthSeen = seen
+        made: LoggedTruth = seen
         return made
 
     def _control(self, t_us: int) -> ControlOutput | None:
@@ -306,18 +305,8 @@ class LogFrames:
 
     def _aid(self, topic: str, t_us: int) -> AidStatus | None:
         row = self._latest(topic, t_us)
-        if row is None:
-            return None
-        return AidStatus(
-            t_us=row["t_us"],
-            sensor=topic.removeprefix(AID_PREFIX),
-            innovation=row["innovation"],
-            innovation_var=row["innovation_var"],
-            test_ratio=float(row["test_ratio"]),
-            fused=bool(row["fused"]),
-            state=AidState(int(row["state"])),
-            age_s=float(row["age_s"]),
-        )
+        aid: AidStatus | None = None if row is None else _aid(row, sensor=topic.removeprefix(AID_PREFIX))
+        return aid
 
     def _received_us(self, t_us: int) -> dict[str, int]:
         found: dict[str, int] = {}
@@ -357,15 +346,8 @@ class LogFrames:
         row = self._latest("/sys/loop", t_us)
         if row is None:
             return None
-        return LoopStats(
-            t_us=row["t_us"],
-            tick_s=float(row["tick_s"]),
-            cpu_s=float(row["cpu_s"]),
-            overruns=int(row["overruns"]),
-            dropped_log=int(row["dropped_log"]),
-            dropped_frames=int(row["dropped_frames"]),
-            part_s=tuple(row["part_s"].tolist()) if "part_s" in row else (0.0,) * len(LoopPart),
-        )
+        stats: LoopStats = _loop(row, **({"part_s": tuple(row["part_s"].tolist())} if "part_s" in row else {}))
+        return stats
 
 
 def _path(data: bytes) -> Any:
@@ -380,14 +362,8 @@ def _goal(row: Fields, t_us: int) -> Goal | None:
     """None for one that has ended: it is written every second."""
     if t_us - row["t_us"] > NAV_US:
         return None
-    return Goal(
-        pos_ned_m=row["pos_ned_m"],
-        yaw_rad=None if row["yaw_free"] else float(row["yaw_rad"]),
-        speed_m_s=float(row["speed_m_s"]),
-        accept_radius_m=float(row["accept_radius_m"]),
-        accept_yaw_rad=float(row["accept_yaw_rad"]),
-        seq=int(row["seq"]),
-    )
+    goal: Goal = _of_goal(row, yaw_rad=None if row["yaw_free"] else float(row["yaw_rad"]))
+    return goal
 
 
 def _sighting(row: Fields) -> MarkerSighting:

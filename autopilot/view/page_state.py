@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 import msgspec
 
-Point2: TypeAlias = tuple[float, float]
-Point3: TypeAlias = tuple[float, float, float]
+from autopilot.log.description import Point2, Point3, Waypoint
+
 Arrow: TypeAlias = tuple[float, float, float, float]
 """North, east [m], northward, eastward [m/s]."""
 
@@ -19,16 +19,6 @@ class Outline(msgspec.Struct, frozen=True, kw_only=True):
 
     inclusion: bool
     corners_m: tuple[Point2, ...]
-
-
-class WaypointView(msgspec.Struct, frozen=True, kw_only=True):
-    """A waypoint with the region in which it counts as reached."""
-
-    name: str
-    pos_ned_m: Point3
-    yaw_rad: float | None
-    accept_radius_m: float
-    accept_yaw_rad: float
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
@@ -85,7 +75,8 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     """Corners of the walls; empty = open water."""
     tank_depth_m: float | None
     fence: tuple[Outline, ...]
-    places: tuple[WaypointView, ...]
+    places: tuple[Waypoint, ...]
+    """With the regions in which they count as reached."""
     limits: Limits
     ages: AgeLimits
     thrusters: tuple[str, ...]

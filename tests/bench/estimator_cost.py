@@ -30,7 +30,7 @@ class _Timed:
     """The estimator as it is flown, with the other one in its shadow; and what it and the detector spend."""
 
     def __init__(self, session: SitlSession, sensors: str) -> None:
-        scenario = session.scenario
+        scenario = session.world.scenario
         markers = given_markers(scenario) if sensors == "camera" else None
         floor_m = None if scenario.tank is None else scenario.tank.depth_m
         self._estimator = create_estimator("ekf", session.vehicle, markers, floor_depth_m=floor_m, shadow=True)

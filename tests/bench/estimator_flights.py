@@ -103,7 +103,7 @@ class _Watcher:
     """One estimator beside the flown one, and what it said."""
 
     def __init__(self, name: str, session: SitlSession, sensors: str) -> None:
-        scenario = session.scenario
+        scenario = session.world.scenario
         self._core = _OpenCore()
         markers = given_markers(scenario) if sensors == "camera" else None
         floor_depth_m = None if scenario.tank is None else scenario.tank.depth_m

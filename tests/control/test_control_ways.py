@@ -15,8 +15,9 @@ from autopilot.control.energy.power import PowerModel, speed_table
 from autopilot.control.energy.request import TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.path.planner import Planner
+from autopilot.core.core_tuning import SPACE
 from autopilot.core.frames import FloatArray
-from autopilot.core.free_space import MAX_CELLS, FreeSpace
+from autopilot.core.free_space import FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import FreeRegions
@@ -96,7 +97,7 @@ def test_cells_are_bounded_and_fine_only_where_that_decides() -> None:
     pillars = tuple(Circle(center_ned_m=rng.uniform([0.0, 0.0], [300.0, 200.0]), radius_m=2.0) for _ in range(300))
     harbour = Fence(inclusions=made.fence.inclusions, exclusions=pillars)
     crowded = FreeSpace(Features(harbour), area_of(harbour, made.start[None]), KEEP_M)
-    assert len(crowded.places_ned_m) <= MAX_CELLS
+    assert len(crowded.places_ned_m) <= SPACE.max_cells
 
 
 def test_a_door_in_a_large_basin_has_a_trajectory() -> None:

@@ -74,7 +74,7 @@ def manoeuvre(
             rate_frd_rad_s=truth.rate_frd_rad_s + rng.normal(0.0, 0.006, 3),
         )
         actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
-        weak = frozenset(np.flatnonzero(actuation.effectiveness < 1.0).tolist())
+        weak = frozenset(np.flatnonzero(actuation.losses.effectiveness < 1.0).tolist())
         if weak:
             said.named.add(weak)
             said.first_s = min(said.first_s, t_s)
@@ -92,8 +92,8 @@ def manoeuvre(
         heave.append((effect @ command.thrust_n[:n], effect @ (gives * actuation.allocation.thrusts_n(pulses))))
         plant.advance(t_us + TICK_US, pulses)
     said.doubtful, said.effectiveness, said.limit_n = (
-        actuation.doubtful_thrusters,
-        actuation.effectiveness,
+        actuation.losses.doubtful,
+        actuation.losses.effectiveness,
         actuation.limit_n,
     )
     said.heave_n = np.array(heave)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.core.device_clock import EARLY_US, MOST_LATENCY_US, SETTLED, DeviceClock
+from autopilot.core.core_tuning import CLOCK
+from autopilot.core.device_clock import DeviceClock
 from tests.lossy_link import LinkConditions, LossyLink
 
 SPAN_US = (1 << 32) * 1000
@@ -115,7 +116,7 @@ def test_a_sound_clock_on_a_bad_link_never_jumps(device: Device) -> None:
     assert flight.clock.jumps == 0 and flight.clock.take_notices() == []
     stamps = flight.given()
     assert all(before[2] < after[2] for before, after in pairwise(stamps))
-    assert all(stamp - taken >= -20_000 and stamp - arrival <= EARLY_US for arrival, taken, stamp in stamps)
+    assert all(stamp - taken >= -20_000 and stamp - arrival <= CLOCK.early_us for arrival, taken, stamp in stamps)
     if device.period_us <= 20_000:  # of others, seconds may lie between two samples that are not lost
         assert flight.withheld_us() <= WITHHELD_US + STALL_US
 
@@ -127,7 +128,7 @@ def test_a_reboot_is_found_on_any_link(device: Device, at_s: float) -> None:
     flight = fly(device, 15.0, lambda t_us: -500_000_000 if t_us >= 1e6 * at_s else 0)
     assert flight.clock.jumps == 1
     after = [arrival for arrival, taken, _ in flight.given() if taken >= 1e6 * at_s]
-    assert after[0] - 1e6 * at_s <= WITHHELD_US + MOST_LATENCY_US + STALL_US
+    assert after[0] - 1e6 * at_s <= WITHHELD_US + CLOCK.most_latency_us + STALL_US
     assert all(-20_000 <= stamp - taken <= 1e6 for _, taken, stamp in flight.given())
 
 
@@ -140,9 +141,9 @@ def test_a_step_of_half_a_second_is_found_where_a_tenth_is_lost(device: Device, 
     quiet = replace(now, loss=0.5 * now.loss, burst=1.0, jitter_s=min(now.jitter_s, 0.003))
     device = replace(device, period_us=min(device.period_us, 20_000), conditions=quiet, latencies_s=(), stalls_s=())
     flight = fly(device, 10.0, lambda t_us: round(1e6 * step_s) if t_us >= 1e6 * at_s else 0)
-    assert len(flight.arrivals) > SETTLED
+    assert len(flight.arrivals) > CLOCK.settled
     assert flight.clock.jumps == 1
     ((_, text),) = flight.clock.take_notices()
     assert f"clock jumped {step_s:+.1f}"[:16] in text or float(text.split()[2]) == pytest.approx(step_s, abs=0.06)
     after = [arrival for arrival, taken, _ in flight.given() if taken >= 1e6 * at_s]
-    assert after[0] - 1e6 * at_s <= WITHHELD_US + MOST_LATENCY_US
+    assert after[0] - 1e6 * at_s <= WITHHELD_US + CLOCK.most_latency_us

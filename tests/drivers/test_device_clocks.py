@@ -17,7 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from sensor_rigs import VEHICLE, Ig500Rig, truth
 
 import autopilot.drivers
-from autopilot.core.device_clock import FAR_US, SETTLED, DeviceClock
+from autopilot.core.core_tuning import CLOCK
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.messages import Severity
 from autopilot.drivers.ardusub_telemetry import ArduSubTelemetry
 from autopilot.drivers.base import AlwaysOpen
@@ -30,7 +31,7 @@ from autopilot.sitl.sensor_tables import AhrsSensor
 COST_US = 500_000
 """What a jump may cost."""
 FIRST_US = 450_000
-"""Until so long after a jump of less than FAR_US stamps may be off by it."""
+"""Until so long after a jump of less than CLOCK.far_us stamps may be off by it."""
 SKIPPED_STEPS = 5
 """A clock that goes forward by fewer steps may be one of which samples are lost."""
 UNIX_US = 1 << 60
@@ -198,7 +199,7 @@ def right(run: Run, jumps: list[tuple[float, float]]) -> None:
         small = [
             1e6 * abs(size_s)
             for at_s, size_s in jumps
-            if at_s * 1e6 <= taken_us <= at_s * 1e6 + FIRST_US and 1e6 * abs(size_s) <= FAR_US + NEAR_US
+            if at_s * 1e6 <= taken_us <= at_s * 1e6 + FIRST_US and 1e6 * abs(size_s) <= CLOCK.far_us + NEAR_US
         ]
         assert abs(stamp_us - taken_us) <= NEAR_US + sum(small), (stamp_us - taken_us, taken_us)
     assert max(run.silences_us()) <= COST_US + 2 * run.source.period_us
@@ -226,12 +227,12 @@ def test_a_jump_costs_half_a_second_at_most_and_is_told(
 ) -> None:
     span_us = SOURCES[name]().span_us
     begin_us = span_us - 5_000_000 if wraps and span_us < UNIX_US else 30_000_000_000
-    settled = 1e-6 * SETTLED * SOURCES[name]().period_us
+    settled = 1e-6 * CLOCK.settled * SOURCES[name]().period_us
     jumps = [(at_s + settled, -size_s if back else size_s)]
     run = fly(name, jumps, settled + 6.0, begin_us=begin_us)
     right(run, jumps)
     clear_us = (2 if back else SKIPPED_STEPS) * run.source.period_us
-    if 1e6 * size_s <= max(clear_us, FAR_US + NEAR_US):  # lost samples may do the same
+    if 1e6 * size_s <= max(clear_us, CLOCK.far_us + NEAR_US):  # lost samples may do the same
         assert run.source.clock.jumps <= 1
         return
     assert run.source.clock.jumps == 1

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.drivers import frame_clock
-from autopilot.drivers.frame_clock import AGAIN, FIRST, LOST_COUNT, WINDOW, FrameClock, LoopTime, StreamClock
+from autopilot.drivers.drivers_tuning import FRAMES
+from autopilot.drivers.frame_clock import FrameClock, LoopTime, StreamClock
 
 Delay = Callable[[np.random.Generator], float]
 """Of one picture [us]."""
@@ -46,7 +47,7 @@ def test_stamps_vary_less_than_arrivals(rate_hz: float, kind: str, lost: float, 
     if kind in ("ticks", "tail", "stalls") and rate_hz > 30.0:
         rate_hz /= 2.0  # half a picture's time of jitter is no beat
     clock = FrameClock()
-    late_us = stream(clock, rate_hz, DELAYS[kind], rng, 3 * WINDOW, lost)[3 * FIRST :]
+    late_us = stream(clock, rate_hz, DELAYS[kind], rng, 3 * FRAMES.window, lost)[3 * FRAMES.first :]
     arrivals, stamps = late_us[:, 0], late_us[:, 1]
     assert clock.rate_hz == pytest.approx(rate_hz, rel=0.003)
     assert stamps.mean() == pytest.approx(arrivals.mean(), abs=2500.0)  # latency_s is a mean delay
@@ -65,8 +66,8 @@ HEAVY: dict[str, Delay] = {
 @given(st.floats(9.0, 30.0), st.sampled_from(sorted(HEAVY)), st.sampled_from([0.0, 0.1]), st.integers(0, 1 << 30))
 def test_stamps_say_how_far_they_are_off(rate_hz: float, kind: str, lost: float, seed: int) -> None:
     clock = FrameClock()
-    late_us = stream(clock, rate_hz, HEAVY[kind], np.random.default_rng(seed), 2 * WINDOW, lost)[:, 1]
-    last = late_us[-FIRST:]
+    late_us = stream(clock, rate_hz, HEAVY[kind], np.random.default_rng(seed), 2 * FRAMES.window, lost)[:, 1]
+    last = late_us[-FRAMES.first :]
     scatter_us = 1.4826 * np.median(np.abs(last - np.median(last)))
     assert scatter_us < 1.5 * clock.sigma_us + 500.0
     assert clock.sigma_us < 3.0 * np.ptp(late_us) + 500.0
@@ -89,7 +90,7 @@ def test_a_beat_is_not_looked_for_with_every_picture(monkeypatch: pytest.MonkeyP
     rng, clock = np.random.default_rng(5), FrameClock()
     for t_us in np.cumsum(rng.uniform(15_000.0, 80_000.0, 900)):
         clock.stamp(round(t_us))
-    assert 20 < len(searches) <= 900 // AGAIN
+    assert 20 < len(searches) <= 900 // FRAMES.again
 
 
 def test_a_stream_that_changes_its_rate_is_found_again() -> None:
@@ -156,15 +157,15 @@ def test_a_streams_own_stamps_hold_through_jitter_load_and_loss(
     late_us = 60_000.0 + rng.exponential(jitter_us, len(times_us))
     busy = (np.arange(len(times_us)) > 300) & (np.arange(len(times_us)) < 400)
     off_us = streamed(StreamClock(), times_us, late_us + load_us * busy, begin_us=float(rng.uniform(0.0, 1e9)))
-    assert np.isnan(off_us[: FIRST - 1]).all() and not np.isnan(off_us[FIRST:]).any()
-    assert abs(off_us[FIRST] - late_us[:FIRST].mean()) < 0.5 * jitter_us + 500.0, "latency_s is a mean"
-    assert np.ptp(off_us[FIRST:]) < jitter_us + 500.0
+    assert np.isnan(off_us[: FRAMES.first - 1]).all() and not np.isnan(off_us[FRAMES.first :]).any()
+    assert abs(off_us[FRAMES.first] - late_us[: FRAMES.first].mean()) < 0.5 * jitter_us + 500.0, "latency_s is a mean"
+    assert np.ptp(off_us[FRAMES.first :]) < jitter_us + 500.0
 
 
 def test_a_stream_that_begins_anew_has_another_clock() -> None:
     clock, times_us = StreamClock(), np.arange(200) * 33_333.0
     streamed(clock, times_us, np.full(200, 50_000.0))
     again = streamed(clock, times_us + 1e8, np.full(200, 50_000.0), begin_us=1e8)
-    assert np.isnan(again[: FIRST - 1]).all() and again[-1] == pytest.approx(50_000.0, abs=2.0)
+    assert np.isnan(again[: FRAMES.first - 1]).all() and again[-1] == pytest.approx(50_000.0, abs=2.0)
     set_ahead = streamed(clock, times_us + 2e8, np.full(200, 50_000.0), begin_us=-1e6)
-    assert set_ahead[-1] == pytest.approx(50_000.0, abs=2.0), f"after {LOST_COUNT} arrivals at most"
+    assert set_ahead[-1] == pytest.approx(50_000.0, abs=2.0), f"after {FRAMES.lost_count} arrivals at most"

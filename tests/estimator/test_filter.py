@@ -14,6 +14,7 @@ from autopilot.core.compiled import OFF, SWITCH
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import load_vehicle
+from autopilot.estimator.estimator_tuning import NOISE
 from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
 from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
 from autopilot.estimator.measure_depth import Depth
@@ -25,7 +26,7 @@ from autopilot.estimator.measure_velocity import BodyVelocity
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
 from autopilot.estimator.motion import fill_jacobian, moved
 from autopilot.estimator.states import NX, YAW, FilterState
-from autopilot.estimator.tuning import TILTED_GYRO_NOISE, process_noise
+from autopilot.estimator.tuning import process_noise
 
 VEHICLE = load_vehicle("lbv150")
 ACCELERATION = VehicleAcceleration(VEHICLE.to_model(), planar_mass_ratios(VEHICLE))
@@ -180,7 +181,7 @@ def test_prediction_is_the_textbooks(x: FloatArray, dt: float, ax: float, r: flo
     fill_jacobian(f, x, step)
     noise = process_noise(ProcessNoiseMode.NOMINAL)
     if math.hypot(x[8], x[9]) > LEANING_M_S2:
-        noise[YAW, YAW] += TILTED_GYRO_NOISE**2
+        noise[YAW, YAW] += NOISE.tilted_gyro_noise**2
     after = KalmanCore().predict(FilterState(x, p), step)
     np.testing.assert_allclose(after.x, moved(x, step), atol=1e-12)
     np.testing.assert_allclose(after.p, f @ p @ f.T + dt * noise, atol=1e-12)

@@ -244,7 +244,7 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
         log.still(t_us, b"png")
         log.payload_truth(t_us, (0.0, 1.0))
     if t_us % 1_000_000 == 0:
-        log.loop(loop_at(t_us, log.dropped))
+        log.loop(loop_at(t_us, log.writer.dropped))
 
 
 def loop_at(t_us: int, dropped: int = 0, process: ProcessStats = PROCESS) -> LoopStats:

@@ -143,14 +143,14 @@ def test_ticks_without_room_are_lost_whole_counted_and_seen_in_the_numbers(tmp_p
     assert inside.wait(30.0)
     for tick in range(50):
         log.tick(*outputs_of(tick))
-    lost, (messages, held) = log.dropped, log.queued
+    lost, (messages, held) = writer.dropped, writer.queued
     assert lost > 0 and 200 <= messages < 300 and held > 4096
     gate.set()
-    while log.queued[0]:
+    while log.writer.queued[0]:
         threading.Event().wait(0.01)
     log.tick(*outputs_of(50))
     log.close()
-    assert log.dropped == lost
+    assert writer.dropped == lost
     read = open_log(tmp_path / "a.mcap")
     ticks = read["/in/tick"]
     kept = len(ticks) - 1
@@ -172,7 +172,7 @@ def test_what_cannot_be_packed_costs_its_tick_and_not_the_log(tmp_path: Path) ->
     recorder.record(*good, ())
     object.__setattr__(bad[0], "cpu_load", "none")
     recorder.record(*bad, ())
-    while log.queued[0]:
+    while log.writer.queued[0]:
         threading.Event().wait(0.01)
     with pytest.raises(Exception, match="required argument is not a float"):
         recorder.record(*outputs_of(3), ())

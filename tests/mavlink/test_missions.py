@@ -104,7 +104,7 @@ def test_unknown_plan_types_are_unsupported(world: World, client: Client, missio
     for message in asked:
         (ack,) = client.ask(message, "MISSION_ACK", 0.1)
         assert (ack.type, ack.mission_type) == (R.UNSUPPORTED, mission_type)
-    assert not world.server.uploading
+    assert not world.server.missions.uploading
 
 
 # Refusals leave the plan in force
@@ -117,7 +117,7 @@ def test_an_upload_changes_nothing_until_the_last_item(world: World, client: Cli
     uploader.count()
     world.run(0.5)
     assert world.plans.items(PlanKind.MISSION) is before
-    assert world.server.uploading
+    assert world.server.missions.uploading
     back = download(client)
     assert back is not None and same_items(plan(5), back)
 
@@ -171,7 +171,7 @@ def test_float_items_are_refused_as_too_coarse(world: World, client: Client) -> 
     item = mav.MAVLink_mission_item_message(1, 1, 0, 3, 16, 0, 1, 0, 0, 0, 0, 37.9755, 23.779, -0.4, 0)
     (ack,) = client.ask(item, "MISSION_ACK", 0.1)
     assert ack.type == R.UNSUPPORTED and "MISSION_ITEM_INT" in client.texts()
-    assert not world.server.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
+    assert not world.server.missions.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
 
 
 @pytest.mark.parametrize("profile", ["ardusub", "px4"])
@@ -218,13 +218,13 @@ def test_a_missing_item_is_asked_for_again_and_then_given_up(world: World, clien
     world.run(6.0)
     assert uploader.results == [R.OPERATION_CANCELLED]
     assert "item 2 (QGC 3) of 4" in client.texts()
-    assert len(world.plans.items(PlanKind.MISSION)) == 2 and not world.server.uploading
+    assert len(world.plans.items(PlanKind.MISSION)) == 2 and not world.server.missions.uploading
 
 
 def test_silence_ends_an_upload_after_eight_seconds(world: World, client: Client) -> None:
     client.send(count(3))
     world.run(7.9)
-    assert world.server.uploading and not client.got("MISSION_ACK")
+    assert world.server.missions.uploading and not client.got("MISSION_ACK")
     world.run(0.3)
     (ack,) = client.got("MISSION_ACK")
     assert ack.type == R.OPERATION_CANCELLED
@@ -235,7 +235,7 @@ def test_patience_stretches_the_times_of_a_fast_simulation() -> None:
     client = world.client()
     client.send(count(3))
     world.run(20.0)
-    assert world.server.uploading
+    assert world.server.missions.uploading
     assert 6 <= len(client.got("MISSION_REQUEST_INT")) <= 8
 
 
@@ -266,7 +266,7 @@ def test_a_client_that_never_listens_is_given_up(world: World, client: Client) -
         client.send(waypoint(2))
         world.run(0.02)
     (ack, *_) = client.got("MISSION_ACK")
-    assert ack.type == R.INVALID_SEQUENCE and not world.server.uploading
+    assert ack.type == R.INVALID_SEQUENCE and not world.server.missions.uploading
 
 
 def test_the_last_item_again_gets_the_answer_again(world: World, client: Client) -> None:
@@ -314,7 +314,7 @@ def test_the_client_can_cancel(world: World, client: Client) -> None:
     world.run(0.05)
     client.send(mav.MAVLink_mission_ack_message(1, 1, R.OPERATION_CANCELLED, 0))
     world.run(0.05)
-    assert not world.server.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
+    assert not world.server.missions.uploading and len(world.plans.items(PlanKind.MISSION)) == 2
 
 
 def test_a_duplicate_of_the_count_does_not_restart(world: World, client: Client) -> None:

@@ -537,7 +537,7 @@ def test_while_an_operator_has_control_nobody_else_changes_anything(world: World
     assert other.command(300) == 10
     everything()
     assert calls(world) == [] and world.params["SPD_CRUISE"] == pytest.approx(0.35)
-    assert world.server.last_pilot_t_us is None
+    assert world.server.pilot.last_us is None
     assert [m.type for m in other.got("MISSION_ACK")] == [mav.MAV_MISSION_DENIED] * 2
     assert [m.error for m in other.got("PARAM_ERROR")] == [3] and other.got("PARAM_VALUE")
     assert other.command(512, 148.0) == 0, "reading goes on"

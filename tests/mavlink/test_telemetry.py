@@ -407,12 +407,12 @@ def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World, c
 
 
 def test_the_time_of_day_is_learnt(world: World, client: Client) -> None:
-    assert world.server.utc_offset_us is None
+    assert world.server.utility.utc_offset_us is None
     client.send(mav.MAVLink_system_time_message(1_800_000_000_000_000, 5))
     world.run(0.5)
     client.command(512, mav.MAVLINK_MSG_ID_SYSTEM_TIME)
     assert client.got("SYSTEM_TIME")[0].time_unix_usec == pytest.approx(1_800_000_000_500_000, abs=60_000)
-    assert world.server.utc_offset_us == 1_800_000_000_000_000 - 10_000
+    assert world.server.utility.utc_offset_us == 1_800_000_000_000_000 - 10_000
 
 
 @pytest.mark.parametrize(

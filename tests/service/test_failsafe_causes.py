@@ -148,7 +148,7 @@ def _broken(world: CauseWorld) -> None:
 
 
 def _late(world: CauseWorld) -> None:
-    delay = world.service._actuation._delay
+    delay = world.service._actuation.delay
     delay.step = lambda *_, **__: setattr(delay, "delay_s", 0.8)  # type: ignore[method-assign]
 
 

@@ -106,7 +106,7 @@ def test_mavsdk_steers_by_sticks(flight: tuple[Flight, Any]) -> None:
     sender = threading.Thread(target=send, daemon=True)
     sender.start()
     try:
-        assert vehicle.until(lambda: commander.armed and world.parts.server.sticks is not None)
+        assert vehicle.until(lambda: commander.armed and world.parts.server.pilot.sticks is not None)
         manual.start_position_control()
         assert commander.mode is FlightMode.POSHOLD
         vehicle.until(lambda: False, 0.6)

@@ -26,11 +26,11 @@ def state(world: ServiceWorld) -> dict[str, Any]:
         "origin": parts.plans.origin,
         "armed": commander.armed,
         "mode": commander.intended_mode,
-        "sticks": parts.server.sticks,
+        "sticks": parts.server.pilot.sticks,
         "gain": inside.pilot._gain,
         "key": inside._ctx.signing.key,
         "erasing": inside._logs._erasing,
-        "uploading": parts.server.uploading,
+        "uploading": parts.server.missions.uploading,
         "in control": inside._operators.in_control,
     }
 

@@ -25,7 +25,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.drivers.frame_clock import AGAIN, STREAM_SIGMA_US
+from autopilot.drivers.drivers_tuning import FRAMES
 from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.retry import SteadySensor
 from autopilot.run.children import autopilot_command, free_port
@@ -39,7 +39,7 @@ from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")
 VEHICLE = load_vehicle("bluerov2")
-STREAM_SIGMA_S = 1e-6 * STREAM_SIGMA_US
+STREAM_SIGMA_S = 1e-6 * FRAMES.stream_sigma_us
 
 
 class Watched:
@@ -118,7 +118,7 @@ def test_it_sends_what_a_vehicles_own_camera_sends() -> None:
     stamps_us = np.array([frame.t_us for frame in frames if frame.stamp_sigma_s == STREAM_SIGMA_S])
     steps = np.diff(stamps_us) * VEHICLE.eye.rate_hz * 1e-6
     off_beat = int((np.abs(steps - np.round(steps)) > 0.2).sum())
-    assert off_beat <= 1 + len(steps) // AGAIN, "on the camera's beat but where the offset is estimated anew"
+    assert off_beat <= 1 + len(steps) // FRAMES.again, "on the camera's beat but where the offset is estimated anew"
 
 
 def test_h264_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,13 +10,17 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, plant
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.thrusters import thrusters_of
+from autopilot.core.thrusters import ThrusterDrive, thrusters_of
 from autopilot.sitl.battery import SimulatedBattery
 from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.tether import WATER_DENSITY_KG_M3, make_tether
-from autopilot.sitl.thruster_models import Thrusters, duty_from_pwm, steady_thrust_n
+from autopilot.sitl.thruster_models import Thrusters, duty_from_pwm, held
 
 DRIVE = VEHICLE.drive
+
+
+def steady_thrust_n(drive: ThrusterDrive, pwm_us: float, supply_v: float) -> float:
+    return held(drive, pwm_us).at(supply_v)
 
 
 @pytest.mark.parametrize("pwm_us", [0, 1500, 1525, 1526, 1474, 1475])

@@ -86,8 +86,7 @@ class DistanceMap:
         return pixels
 
     def _at(self, places: FloatArray) -> FloatArray:
-        at: FloatArray = (places - self.low) / self.pixel_m - 0.5
-        return at
+        return (places - self.low) / self.pixel_m - 0.5
 
     def _fill(self, picture: NDArray[np.uint8], corners: FloatArray, value: int) -> None:
         cv2.fillPoly(picture, [self._scaled(corners)[:, ::-1].copy()], value, cv2.LINE_8, _SUBPIXEL_BITS)
@@ -130,7 +129,7 @@ class DistanceMap:
 
 class QuickestPaths:
     def __init__(self, free: BoolArray, low: FloatArray, cell_m: float) -> None:
-        self._free, self._low, self._cell_m = free, low, cell_m
+        self._low, self._cell_m = low, cell_m
         self._number: NDArray[np.int64] = np.full(free.shape, -1, dtype=np.int64)
         self._number[free] = np.arange(int(free.sum()))
         self._places = low + (np.argwhere(free) + 0.5) * cell_m

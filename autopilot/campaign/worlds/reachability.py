@@ -6,7 +6,7 @@ between, where reaching it and reporting why not are both right.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -175,17 +175,7 @@ class _Judge:
     def up(self, seq: int, before: Leg, depth_m: float) -> Leg:
         """The ascent at the end: as sure as the goal before it."""
         bound = 20.0 + depth_m / (0.4 * self._world.scenario["params"]["SPD_HEAVE_MAX"])
-        return Leg(
-            seq=seq,
-            sure=before.sure,
-            straight=before.straight,
-            possible=before.possible,
-            ground=before.ground,
-            no_ground=before.no_ground,
-            water_m_s=before.water_m_s,
-            length_m=0.0,
-            bound_s=bound,
-        )
+        return replace(before, seq=seq, length_m=0.0, bound_s=bound)
 
     def _quickest(
         self, here: Point, there: Point, reach: float, water: float, ground: float, *, worst: bool

@@ -240,8 +240,7 @@ class _Rings:
 
     def least(self, values: FloatArray) -> FloatArray:
         """(P,) the least of (E,) per polygon."""
-        result: FloatArray = np.minimum.reduceat(values, self.first)
-        return result
+        return np.minimum.reduceat(values, self.first)
 
 
 def _counter_clockwise(polygons: list[FloatArray]) -> tuple[ComplexArray, _Rings]:
@@ -271,8 +270,7 @@ def unit_rays(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
     """Unit vectors along rays; north where there is none."""
     if rho.min(initial=FEATURES.far_m) < FEATURES.tiny_m:
         return np.where(rho < FEATURES.tiny_m, 1.0, ray / np.maximum(rho, FEATURES.tiny_m))
-    result: ComplexArray = ray / rho
-    return result
+    return ray / rho
 
 
 def _groups(polygon: IntArray) -> tuple[IntArray, IntArray]:

@@ -105,8 +105,7 @@ class Features(Boundaries):
                 nearest = distance.argmin(axis=1)[:, None]
                 lack = np.maximum(radius_m - np.take_along_axis(distance, nearest, axis=1), 0.0)
                 steps[begin : begin + together] = (lack * np.take_along_axis(normal, nearest, axis=1))[:, 0]
-        result: FloatArray = steps.view(float).reshape(-1, 2)
-        return result
+        return steps.view(float).reshape(-1, 2)
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
         points = as_complex(places)

@@ -121,8 +121,7 @@ class CurrentMap:
         first = max(int(np.searchsorted(levels, depth_min_m, side="right")) - 1, 0)
         last = min(int(np.searchsorted(levels, depth_max_m, side="left")), len(levels) - 1)
         node: NDArray[np.bool_] = np.asarray(self._unknown[:, first : max(first, last) + 1].any(axis=(0, 1)))
-        cell: NDArray[np.bool_] = node[:-1, :-1] | node[1:, :-1] | node[:-1, 1:] | node[1:, 1:]
-        return cell
+        return node[:-1, :-1] | node[1:, :-1] | node[:-1, 1:] | node[1:, 1:]
 
     def cells(self, places_ned_m: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Row and column of the cell that holds each place (n, 2), of the nearest one outside."""
@@ -151,5 +150,4 @@ def _between(values: FloatArray, fraction: FloatArray) -> FloatArray:
     """Halve the corners (m, 2k, 3) along the first axis that is left: exact at both ends."""
     half = values.shape[1] // 2
     weight = fraction[:, None, None]
-    out: FloatArray = values[:, :half] * (1.0 - weight) + values[:, half:] * weight
-    return out
+    return values[:, :half] * (1.0 - weight) + values[:, half:] * weight

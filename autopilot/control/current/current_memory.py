@@ -108,14 +108,12 @@ class CurrentMemory:
 
     def _kept(self, slot: NDArray[np.int64], place: NDArray[np.int64], t_us: int) -> FloatArray:
         """Remaining weight of a node; zero if its slot holds another position."""
-        kept: FloatArray = np.where(self._place[slot] == place, _left(self._learned_us[slot], t_us), 0.0)
-        return kept
+        return np.where(self._place[slot] == place, _left(self._learned_us[slot], t_us), 0.0)
 
 
 def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
     """Remaining fraction of a weight after ageing."""
-    left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / CURRENT_MEMORY.forget_s))
-    return left
+    return np.exp((learned_us - t_us) * (1e-6 / CURRENT_MEMORY.forget_s))
 
 
 _BEFORE_AND_BEHIND: NDArray[np.int64] = np.array([[0], [1]])

@@ -74,8 +74,7 @@ class EnergyField:
         """(m,) which edges go through the line from ``a`` to ``b`` (2,)."""
         begin, end = (self.places_ned_m[nodes] for nodes in self._edges[:2])
         sides = [_side(a, b, begin) * _side(a, b, end) <= 0.0, _side(begin, end, a) * _side(begin, end, b) <= 0.0]
-        result: NDArray[np.bool_] = sides[0] & sides[1]
-        return result
+        return sides[0] & sides[1]
 
     def to(self, goal_ned_m: FloatArray, closed: NDArray[np.bool_] | None = None) -> "EnergyToGo | None":
         """The field of a goal (2,); ``closed`` (m,) takes edges away. None if the goal is nowhere near free ground."""
@@ -92,8 +91,7 @@ class EnergyField:
 def _side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
     """On which side of the line from ``a`` to ``b`` a point is (> 0 on the right); arrays of places or one place."""
     edge, ray = b - a, point - a
-    result: FloatArray = edge[..., 0] * ray[..., 1] - edge[..., 1] * ray[..., 0]
-    return result
+    return edge[..., 0] * ray[..., 1] - edge[..., 1] * ray[..., 0]
 
 
 class EnergyToGo:

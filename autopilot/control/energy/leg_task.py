@@ -169,10 +169,7 @@ class LegTask:
         if yaw_rad is None:
             return along
         last = unwrap_near(yaw_rad, float(along[-1]))
-        faded: FloatArray = along + np.clip((t - end_s) / (0.5 * LEG_TASK.linear_turn_s) + 1.0, 0.0, 1.0) * (
-            last - along
-        )
-        return faded
+        return along + np.clip((t - end_s) / (0.5 * LEG_TASK.linear_turn_s) + 1.0, 0.0, 1.0) * (last - along)
 
     def energy_along(self, trajectory: Trajectory) -> float:
         """Energy of a trajectory's path by the model of the energy field [J]: steady speeds, heading along the path."""

@@ -90,8 +90,7 @@ def planar_limit_m_s(table: SpeedTable, along_m_s: FloatArray, across_m_s: Float
     Against a current it limits the speed over ground, with a current the speed relative to the water: a following
     current is not braked against.
     """
-    limit: FloatArray = np.hypot(table.cruise_m_s + np.maximum(-along_m_s, 0.0), across_m_s)
-    return limit
+    return np.hypot(table.cruise_m_s + np.maximum(-along_m_s, 0.0), across_m_s)
 
 
 def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:

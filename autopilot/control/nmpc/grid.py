@@ -44,21 +44,21 @@ def uniform_grid(n: int, dt_s: float = REFERENCE_DT_S) -> TimeGrid:
     return grid_of(np.full(n, dt_s))
 
 
-def geometric_grid(n: int = 20, horizon_s: float = 8.0, first_dt_s: float = REFERENCE_DT_S) -> TimeGrid:
-    """A grid of ``n`` intervals that start with ``first_dt_s``, grow by a constant factor and sum to ``horizon_s``.
+def geometric_grid(n: int = 20, horizon_s: float = 8.0) -> TimeGrid:
+    """A grid of ``n`` intervals that start with REFERENCE_DT_S, grow by a constant factor and sum to ``horizon_s``.
 
-    A uniform one if ``n * first_dt_s`` is not less than ``horizon_s``.
+    A uniform one if ``n * REFERENCE_DT_S`` is not less than ``horizon_s``.
     """
-    if n * first_dt_s >= horizon_s:
+    if n * REFERENCE_DT_S >= horizon_s:
         return uniform_grid(n, horizon_s / n)
-    low, high = 1.0, horizon_s / first_dt_s
+    low, high = 1.0, horizon_s / REFERENCE_DT_S
     for _ in range(200):
         ratio = 0.5 * (low + high)
-        if first_dt_s * sum(ratio**k for k in range(n)) < horizon_s:
+        if REFERENCE_DT_S * sum(ratio**k for k in range(n)) < horizon_s:
             low = ratio
         else:
             high = ratio
-    dt_s = first_dt_s * ratio ** np.arange(n)
+    dt_s = REFERENCE_DT_S * ratio ** np.arange(n)
     return grid_of(dt_s * (horizon_s / dt_s.sum()))
 
 

@@ -49,7 +49,7 @@ def _part(arrays: Mapping[str, FloatArray], name: str) -> dict[str, FloatArray]:
     return {key[len(name) :]: value for key, value in arrays.items() if key.startswith(name)}
 
 
-def solve_again(program: UnsolvedProgram, backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS) -> list[Trial]:
+def solve_again(program: UnsolvedProgram) -> list[Trial]:
     """Results of every solver. LogError if the record is incomplete."""
     try:
         model = Model4(**{name: _plain(value) for name, value in _part(program.arrays, "model.").items()})
@@ -62,7 +62,7 @@ def solve_again(program: UnsolvedProgram, backends: tuple[ocp.QpBackend, ...] = 
         raise LogError(
             f"the program at {program.t_us} us is not complete ({error}); use the version that saved it"
         ) from None
-    return [_trial(model, grid, problem, x, thrust, backend) for backend in backends]
+    return [_trial(model, grid, problem, x, thrust, backend) for backend in ocp.BACKENDS]
 
 
 def _trial(

@@ -18,10 +18,10 @@ SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 """Surge speeds of the table; beyond, its ends."""
 
 
-def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
-    """(m, n, 8) LQR gains at surge speeds (m,) [m/s], other velocities zero."""
-    a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
-    b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, model.thrusters))
+def lqr_gains(model: Model4) -> FloatArray:
+    """(m, n, 8) LQR gains at SURGES_M_S (m,), other velocities zero."""
+    a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in SURGES_M_S])
+    b = np.broadcast_to(input_matrix(model), (len(SURGES_M_S), NX, model.thrusters))
     a_d, b_d = discretise(a, b, ANCILLARY.design_step_s)
     r = ANCILLARY.thrust_weight * np.eye(model.thrusters)
     p = dare(a_d, b_d, np.diag(ANCILLARY.state_weights), r)

@@ -34,7 +34,6 @@ SPEED_SAMPLES = 5
 class LipschitzReport:
     """Growth of the error bound along the horizon and the node at which a tightened set is empty."""
 
-    scales: tuple[float, ...]
     lipschitz: FloatArray
     """(N,) of every interval."""
     t_s: FloatArray
@@ -127,7 +126,6 @@ def lipschitz_report(
         if len(beyond) and int(beyond[0]) < first:
             first, name = int(beyond[0]), label
     return LipschitzReport(
-        scales=scales,
         lipschitz=growth,
         t_s=grid.t_s,
         gamma=gamma,

@@ -55,15 +55,13 @@ def dare(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArr
         a = aw @ a
         if np.abs(step).max() <= TOLERANCE * np.abs(h).max():
             break
-    p: FloatArray = 0.5 * (h + np.swapaxes(h, -1, -2))
-    return p
+    return 0.5 * (h + np.swapaxes(h, -1, -2))
 
 
 def gain(a: FloatArray, b: FloatArray, p: FloatArray, r: FloatArray) -> FloatArray:
     """LQR gain K (..., m, n) of u = K x for the solution ``p`` of :func:`dare`: K = -(r + b'P b)^-1 b'P a."""
     bt_p = np.swapaxes(b, -1, -2) @ p
-    k: FloatArray = np.asarray(-np.linalg.solve(r + bt_p @ b, bt_p @ a), dtype=float)
-    return k
+    return np.asarray(-np.linalg.solve(r + bt_p @ b, bt_p @ a), dtype=float)
 
 
 def lyapunov(a: FloatArray, q: FloatArray) -> FloatArray:

@@ -61,8 +61,7 @@ class StationKeeper:
             error = region_error(law, x, self._target[:3])
             if law.level(error) <= self._alpha:
                 self.inside = True
-                inner: FloatArray = np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
-                return inner
+                return np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
         return station_keeping_thrust(self._allocator, x, self._target, current_ned_m_s, limit_n)
 
     def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:

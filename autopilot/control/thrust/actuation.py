@@ -45,8 +45,8 @@ class Actuation:
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._allocator = ControlAllocator.of(vehicle)
         self._params = params
-        self._losses = ThrusterLosses(vehicle, params)
-        self._delay = CommandDelay(vehicle, params)
+        self.losses = ThrusterLosses(vehicle, params)
+        self.delay = CommandDelay(vehicle, params)
         self._levelling = AttitudeStabilizer(vehicle)
         self._nav: NavState | None = None
         self._count = self._allocator.model.thrusters
@@ -55,47 +55,13 @@ class Actuation:
         self.allocation = Allocation(vehicle.thrusters)
         self.supply_v: float | None = None
         """Measured voltage, None = nominal."""
-        self._limits = self._limits_of(self.allocation.capability_n(), self._losses.effectiveness, math.inf)
+        self._limits = self._limits_of(self.allocation.capability_n(), self.losses.effectiveness, math.inf)
 
     def nothing(self) -> FloatArray:
         """Zero thrust (n,)."""
         return np.zeros(self._count)
 
     # What is known
-
-    @property
-    def effectiveness(self) -> FloatArray:
-        """(n,) effectiveness of each thruster; 0 for a failed one."""
-        return self._losses.effectiveness
-
-    @property
-    def effectiveness_values(self) -> tuple[float, ...]:
-        return self._losses.effectiveness_values
-
-    @property
-    def problem(self) -> str:
-        """Capability lost with the remaining thrust, "" while the vehicle can keep its position."""
-        return self._losses.problem
-
-    @property
-    def doubtful_thrusters(self) -> tuple[tuple[str, ...], ...]:
-        """Redundant thrusters with a fault that is not isolated."""
-        return self._losses.doubtful
-
-    @property
-    def unseen(self) -> tuple[str, ...]:
-        """Thrusters that have been asked for too little so far to be judged."""
-        return self._losses.unseen
-
-    @property
-    def delay_s(self) -> float:
-        """Command latency [s]; 0 until it is certain."""
-        return self._delay.delay_s
-
-    @property
-    def doubtful(self) -> bool:
-        """Thrust has had no effect so far and the latency is unknown: no further thrust."""
-        return self._delay.doubtful
 
     @property
     def limit_n(self) -> FloatArray:
@@ -111,7 +77,7 @@ class Actuation:
 
     @property
     def _present_limits(self) -> "_Limits":
-        sound_n, effectiveness = self.allocation.capability_n(self.supply_v), self._losses.effectiveness
+        sound_n, effectiveness = self.allocation.capability_n(self.supply_v), self.losses.effectiveness
         last, limit_n = self._limits, self._params["THR_LIMIT"]
         if last.sound_n is not sound_n or last.effectiveness is not effectiveness or last.limit_n != limit_n:
             self._limits = self._limits_of(sound_n, effectiveness, limit_n)
@@ -124,10 +90,6 @@ class Actuation:
         for each_n in (found.can_n, found.free_n, found.command_n):
             each_n.setflags(write=False)
         return found
-
-    def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
-        """The estimate for the controller: just after a delay has been found with the current of before."""
-        return self._delay.nav_for_control(t_us, nav)
 
     # One tick
 
@@ -142,7 +104,7 @@ class Actuation:
 
     def send(self, t_us: int) -> FloatArray:
         """Register the last command as sent. Returns (n,) the thrust of healthy thrusters that acts now [N]."""
-        return self._delay.send(t_us, self._pulse_n)
+        return self.delay.send(t_us, self._pulse_n)
 
     def learn(
         self,
@@ -162,15 +124,15 @@ class Actuation:
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
-        self._delay.step(t_us, nav, armed=armed and alone)
+        self.delay.step(t_us, nav, armed=armed and alone)
         # Commands that never reached the thrusters are no evidence.
-        prompt = armed and self._delay.prompt and reached
-        return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
+        prompt = armed and self.delay.prompt and reached
+        return self.losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
 
     def lift_n(self, limit_n: float) -> FloatArray:
         """(n,) straight up, the thruster that has to give most giving ``limit_n``; nothing when none can lift."""
         wanted = np.array([0.0, 0.0, -1.0, 0.0])
-        up = self._allocator.thrust_n(wanted, np.where(self._losses.effectiveness > 0.0, MUCH_N, 0.0))
+        up = self._allocator.thrust_n(wanted, np.where(self.losses.effectiveness > 0.0, MUCH_N, 0.0))
         most = float(np.abs(up).max())
         if most < NO_LIFT:
             return self.nothing()
@@ -189,7 +151,7 @@ class Actuation:
             thrust_n = self._levelling.thrust_n(thrust_n, limits.can_n, limits.command_n, tilt, turning)
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
-        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.effectiveness)
+        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self.losses.effectiveness)
         # Thrust of the pulses, dead band and saturation included: input of the estimator's model.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
         return self._command(t_us, thrust_n, pulses_us, armed=True)

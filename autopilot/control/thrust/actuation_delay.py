@@ -89,10 +89,10 @@ class DelayTuning:
 class ActuationDelay:
     """Estimate of the delay between a command and its thrust. :meth:`step` at every tick, deterministic."""
 
-    def __init__(self, model: Model4, response: Response, tuning: DelayTuning | None = None) -> None:
+    def __init__(self, model: Model4, response: Response) -> None:
         self._model = model
         self._response = response
-        self._tuning = tuning or DelayTuning()
+        self._tuning = DelayTuning()
         self._effect = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
         self._sway = np.array(model.allocation)[1]
         self.delays_s = self._tuning.interval_s * np.arange(self._tuning.candidates)

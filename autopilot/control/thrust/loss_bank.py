@@ -374,8 +374,7 @@ class LossBank:
         b, at = self._beliefs, self._at
         still = np.zeros(at.size)
         still[at.pull], still[at.moment], still[at.push] = b.pull_n**2, b.moment**2, np.square(b.push)
-        covariance: FloatArray = np.diag(still) + self._waters(b.flow_m_s)
-        return covariance
+        return np.diag(still) + self._waters(b.flow_m_s)
 
     def _waters(self, sigma_m_s: float) -> FloatArray:
         """(n, n) covariance of the current's error in drag and in the Munk moment."""
@@ -447,8 +446,7 @@ class LossBank:
     def _gain(self) -> FloatArray:
         """(n, 4) thrust over mass of each axis relative to the vehicle file."""
         at = self._at
-        gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
-        return gain
+        return 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
 
     def _pull(self, motion: FilteredMotion) -> FloatArray:
         """(4, 3) acceleration per newton of a force NED."""

@@ -139,8 +139,7 @@ def _likelihoods(
 
     def since(terms: FloatArray) -> FloatArray:
         """Sum of ``terms`` (m, suspects, ...) from each of ``begins`` on, (suspects, begins, ...)."""
-        result: FloatArray = np.moveaxis(np.cumsum(terms[::-1], axis=0)[::-1][begins], 0, 1)
-        return result
+        return np.moveaxis(np.cumsum(terms[::-1], axis=0)[::-1][begins], 0, 1)
 
     squares = since(np.square(lacking))
     gram = np.zeros((suspects, times, 5, 5))

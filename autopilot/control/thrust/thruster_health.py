@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.thrust.filtered_motion import MotionFilter
-from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
+from autopilot.control.thrust.loss_bank import LossBank, Memory
 from autopilot.control.thrust.redundancy import TiltEvidence, alike
 from autopilot.control.thrust.thrust_tuning import THRUSTER_HEALTH
 from autopilot.core.control_allocator import ControlAllocator
@@ -91,15 +91,13 @@ class ThrusterHealth:
         *,
         tilt: FloatArray | None = None,
         submerged_m: float = 0.0,
-        tuning: Tuning | None = None,
-        beliefs: Beliefs | None = None,
     ) -> None:
         """Above the depth ``submerged_m`` the hull emerges and heave is not used. ``tilt`` (2, n): roll and pitch
         acceleration per N (:func:`autopilot.control.thrust.redundancy.tilt_of`), None = unknown.
         """
-        self._tuning = tuning = tuning or Tuning()
+        self._tuning = tuning = Tuning()
         self._submerged_m = submerged_m
-        self._bank = LossBank(model, beliefs)
+        self._bank = LossBank(model)
         self._n = model.thrusters
         # Those that push along several axes are measured against each other; the others have an axis each.
         self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1

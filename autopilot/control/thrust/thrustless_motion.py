@@ -36,5 +36,4 @@ def push_sigma(model: Model4, nav: NavState, at_rest: tuple[float, ...], flow_m_
     speed = np.abs(nav.vel_frd_m_s)
     slope = [(model.linear_drag[i] + 2.0 * model.quadratic_drag[i] * speed[i]) / model.mass_kg[i] for i in range(2)]
     munk = abs(m11 - m22) / m44 * math.hypot(speed[0], speed[1])
-    sigma: FloatArray = np.hypot(at_rest, np.array([slope[0], slope[1], 0.0, munk]) * flow_m_s)
-    return sigma
+    return np.hypot(at_rest, np.array([slope[0], slope[1], 0.0, munk]) * flow_m_s)

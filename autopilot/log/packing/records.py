@@ -6,7 +6,7 @@ stands in a field of its own. What does not follow these rules is given as a fun
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -52,13 +52,20 @@ def packer_of(row: MessageRow) -> Pack:
 
 
 def reader_of(
-    of: type, *, known: Mapping[str, str] | None = None, shapes: Mapping[str, tuple[int, ...]] | None = None
-) -> Callable[[Any], Any]:
-    """Makes an ``of`` of a row of its topic; ``shapes`` are those of arrays that are not flat."""
+    of: type,
+    *,
+    known: Mapping[str, str] | None = None,
+    shapes: Mapping[str, tuple[int, ...]] | None = None,
+    beside: Collection[str] = (),
+) -> Callable[..., Any]:
+    """Makes an ``of`` of a row of its topic; ``shapes`` are those of arrays that are not flat. What ``beside`` names is
+    not read: it is given with the row, by name, or keeps its default."""
     flags = {attribute: flag for flag, attribute in (known or {}).items()}
     scope: dict[str, Any] = {"of": of, "absent": absent}
     parts = []
     for name, hint in get_type_hints(of).items():
+        if name in beside:
+            continue
         kind = _kind(hint)
         scope[f"kind_{name}"] = kind
         if kind in (int, float, bool):
@@ -71,7 +78,7 @@ def reader_of(
             read = f"row['{name}']{'' if shape is None else f'.reshape{shape}'}.copy()"
             read = f"{read} if row['{flags[name]}'] else None" if name in flags else read
         parts.append(f"{name}={read}")
-    made: Callable[[Any], Any] = eval(f"lambda row: of({', '.join(parts)})", scope)
+    made: Callable[..., Any] = eval(f"lambda row, **more: of({', '.join(parts)}, **more)", scope)
     return made
 
 
