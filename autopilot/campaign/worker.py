@@ -5,6 +5,10 @@ here lets a worker start flying at once.
 """
 # ruff: noqa: F401
 
+import scipy.interpolate
+import scipy.sparse.csgraph
+import scipy.spatial
+
 import autopilot.campaign.flight
 import autopilot.control.controller
 import autopilot.control.energy.energy_guidance

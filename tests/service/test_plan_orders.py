@@ -167,7 +167,7 @@ class Yard(Bench):
 def coarse() -> Iterator[None]:
     """Coarser cells for the search of ways: the rule is looked at here, not the geometry."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(free_space, "BASE_CELLS", 1500)
+        patch.setattr(free_space, "SPACE", replace(free_space.SPACE, base_cells=1500))
         yield
 
 

@@ -169,19 +169,19 @@ def test_released_channels_are_released_at_once(world: PilotedWorld) -> None:
     none = 65535
     ahead = mav.MAVLink_rc_channels_override_message(1, 1, none, none, 1500, 1500, 1900, 1500, none, none)
     world.stream(1.0, ahead)
-    assert world.parts.server.sticks is not None
+    assert world.parts.server.pilot.sticks is not None
     unused = mav.MAVLink_rc_channels_override_message(1, 1, none, none, none, none, none, none, 1500, 1500)
     world.tick([world.pack(unused)])
-    assert world.parts.server.sticks is not None, "other channels are no release"
+    assert world.parts.server.pilot.sticks is not None, "other channels are no release"
     release = mav.MAVLink_rc_channels_override_message(1, 1, none, none, 0, 0, 0, 0, none, none)
     stranger = mav.MAVLink(None, srcSystem=200, srcComponent=190)
     world.tick([bytes(release.pack(stranger))])
-    assert world.parts.server.sticks is not None, "nobody else releases them"
+    assert world.parts.server.pilot.sticks is not None, "nobody else releases them"
     world.tick([world.pack(release)])
-    assert world.parts.server.sticks is None
+    assert world.parts.server.pilot.sticks is None
     back = mav.MAVLink_manual_control_message(1, -1000, 0, 500, 0, 0)
     world.tick([bytes(back.pack(stranger))])
-    assert world.parts.server.sticks is not None and world.parts.server.sticks.ahead < 0.0
+    assert world.parts.server.pilot.sticks is not None and world.parts.server.pilot.sticks.ahead < 0.0
 
 
 def test_buttons_do_what_their_parameters_say() -> None:

@@ -27,5 +27,6 @@ def lengths_from(
 
 
 def warm() -> None:
-    """Import scipy now."""
-    importlib.import_module("scipy.sparse.csgraph")
+    """Import scipy's parts for graphs and nearest places now."""
+    for part in ("sparse.csgraph", "spatial"):
+        importlib.import_module(f"scipy.{part}")
