@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test lint docs library sanitize mutations ardusub-suite bench clean
+.PHONY: demo test test-long lint docs library sanitize mutations ardusub-suite bench clean
 
 $(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch]) autopilot/core/model4.py autopilot/control/nmpc/model_code.py autopilot/control/energy/interval.py
 	@echo "setting up $(VENV) (about a minute)"
@@ -26,7 +26,11 @@ demo: $(VENV)/installed
 	$(BIN)/autopilot demo --out out/demo
 
 test: $(VENV)/tools
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long"
+
+# Flights of minutes, browsers, clients of others, many processes (tests/conftest.py, LONG).
+test-long: $(VENV)/tools
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m long
 
 lint: $(VENV)/tools
 	$(BIN)/ruff check .

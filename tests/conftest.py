@@ -34,14 +34,39 @@ LONGEST = ("system", "service", "estimator", "control")
 """Folders of the modules that take longest. They begin first, so that at the end no process is left with one."""
 
 
+LONG = {
+    "api": "gym_env notebooks",
+    "bench": "alarms_bench ardusub_bench",
+    "drivers": "keeper",
+    "mavlink": "mavsdk",
+    "run": "recorded_ardusub vehicle_flight",
+    "service": "hostile_traffic mavsdk_steers",
+    "system": "busy_machine calibration_flight campaign campaign_set_up crossing_obstacle dask_campaign"
+    " flights_in_waves gps_flight lossy_plan_transfer lost_state mavsdk_mission own_parts picture_fault_flights pool_by_markers"
+    " qgroundcontrol real_time restart_armed restart_matrix sensor_faults slow_line stick_flights tether_processes"
+    " thruster_loss tilted_camera_flight two_processes who_is_served",
+    "tests": "wheel",
+    "view": "access attitude_dials browser past player process space view_beside",
+}
+"""Modules of `make test-long`, by folder: flights of minutes, browsers, clients of others, many processes."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Modules begin in the order of :data:`LONGEST`, not those with the most tests first, as xdist would have it."""
+    config.addinivalue_line("markers", "long: of `make test-long`")
+    for folder, names in LONG.items():
+        for name in names.split():
+            if not (ROOT / "tests" / folder.replace("tests", "") / f"test_{name}.py").exists():
+                raise pytest.UsageError(f"LONG of tests/conftest.py: {folder} has no test_{name}.py")
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first, else as they were."""
+    """The longest first, else as they were; those of :data:`LONG` are marked."""
+    for item in items:
+        if item.path.stem.removeprefix("test_") in LONG.get(item.path.parent.name, "").split():
+            item.add_marker(pytest.mark.long)
     place = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.parent.name, len(LONGEST)))
 

@@ -21,8 +21,8 @@ def _plan(folder: Path, laps: int) -> str:
 @pytest.mark.parametrize(
     ("scenario", "sensors", "estimator", "laps", "duration_s"),
     [
-        ("paper-tank", "camera", "ekf", 1, 40.0),
-        ("paper-tank", "pose", "ekf", 2, 60.0),
+        pytest.param("paper-tank", "camera", "ekf", 1, 40.0, marks=pytest.mark.long),
+        pytest.param("paper-tank", "pose", "ekf", 2, 60.0, marks=pytest.mark.long),
         ("paper-tank-still", "pose", "ekf", 1, 40.0),
     ],
 )

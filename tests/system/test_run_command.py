@@ -68,6 +68,7 @@ def test_a_state_folder_is_one_services_even_after_it_was_killed(tmp_path: Path)
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_the_doctor_says_what_is_not_there_and_what_to_do(tmp_path: Path) -> None:
     command = autopilot_command("doctor", "--config", str(_rov(tmp_path)), "--seconds", "1", "--json")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -83,6 +84,7 @@ TRIES = 5
 """On a machine that has other work an emulated sensor may be too slow for a moment."""
 
 
+@pytest.mark.long
 def test_the_doctor_on_an_emulated_vehicle_says_that_it_would_arm(tmp_path: Path) -> None:
     """Both as processes, in real time; then the service has the ports, and the doctor says so."""
     config, plan = _rov(tmp_path), tmp_path / "paper.plan"
