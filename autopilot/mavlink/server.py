@@ -316,7 +316,7 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_PING: utility.on_ping,
             mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
             extra.MAVLINK_MSG_ID_REQUEST_EVENT: self._events.on_request,
-            mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
+            mav.MAVLINK_MSG_ID_SYSTEM_TIME: utility.on_system_time,
             mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._files.on_message,
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: self._logs.on_request_list,
             mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA: self._logs.on_request_data,

@@ -4,14 +4,19 @@ from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.wire import Message
 
+STALE_US = 10_000_000
+"""After so long without a word from the one that gave the time another one may."""
+
 
 class Utility:
-    """Handlers of messages that need no state."""
+    """Handlers of messages that need no state but the time of day."""
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self.utc_offset_us: int | None = None
         """Unix time minus the service's time [us], as a ground station gave it; None before."""
+        self._timed_by: tuple[int, int] | None = None
+        self._timed_us = 0
 
     def on_ping(self, peer: MavlinkPeer, msg: Message) -> None:
         """PING: target 0/0 is a request; an addressed one is an answer and must not be answered."""
@@ -31,10 +36,15 @@ class Utility:
         """The service's time as TIMESYNC carries it (int64)."""
         return min(self._ctx.t_us * 1000, (1 << 63) - 1)
 
-    def on_system_time(self, msg: Message) -> None:
-        """SYSTEM_TIME of a ground station: kept for boards without a clock."""
-        if msg.time_unix_usec:
-            self.utc_offset_us = msg.time_unix_usec - self._ctx.t_us
+    def on_system_time(self, peer: MavlinkPeer, msg: Message) -> None:
+        """SYSTEM_TIME of a ground station: kept for boards without a clock. Of two the first is believed, and no other
+        vehicle, which tells its own."""
+        t_us, sender = self._ctx.t_us, (peer.sysid, peer.compid)
+        if not msg.time_unix_usec or peer.compid == mav.MAV_COMP_ID_AUTOPILOT1:
+            return
+        if self._timed_by in (None, sender) or t_us - self._timed_us > STALE_US:
+            self._timed_by, self._timed_us = sender, t_us
+            self.utc_offset_us = msg.time_unix_usec - t_us
 
     def system_time(self) -> Message | None:
         """SYSTEM_TIME: Unix time is 0 while unknown."""

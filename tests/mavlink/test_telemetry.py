@@ -415,6 +415,23 @@ def test_the_time_of_day_is_learnt(world: World, client: Client) -> None:
     assert world.server.utility.utc_offset_us == 1_800_000_000_000_000 - 10_000
 
 
+def test_of_two_times_of_day_the_first_is_believed_and_none_of_another_vehicle(world: World, client: Client) -> None:
+    vehicle, second = world.client(sysid=2, compid=1, number=1), world.client(sysid=254, number=2)
+
+    def told(sender: Client, unix_s: int) -> int | None:
+        sender.send(mav.MAVLink_system_time_message(unix_s * 1_000_000, 5))
+        world.run(0.1)
+        offset_us = world.server.utility.utc_offset_us
+        return None if offset_us is None else round(1e-6 * (offset_us + world.t_us))
+
+    assert told(vehicle, 1_500_000_000) is None
+    assert told(client, 1_800_000_000) == 1_800_000_000
+    assert told(second, 1_900_000_000) == told(vehicle, 1_500_000_000) == 1_800_000_000
+    assert told(client, 1_850_000_000) == 1_850_000_000, "it was set"
+    world.run(10.0)
+    assert told(second, 1_900_000_000) == 1_900_000_000, "the first is silent"
+
+
 @pytest.mark.parametrize(
     ("opcode", "reply", "error"), [(4, 129, 10), (3, 129, 10), (15, 129, 4), (99, 129, 7), (1, 128, 0), (2, 128, 0)]
 )
