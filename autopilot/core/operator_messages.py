@@ -372,6 +372,7 @@ ARMING_REASON = _warning(ARMING_CHECK + "{reason}", "Answer to RUN_PREARM_CHECKS
 ARMING_UNFENCED = _notice(f"{ARMING_CHECK}{NO_FENCE}, which FENCE_REQUIRED allows", "Answer to RUN_PREARM_CHECKS.")
 ARMING_PASSED = _info("Arming checks passed")
 ODOMETRY_FRAME = _warning("ODOMETRY in frame {frame} is not used: send MAV_FRAME_LOCAL_NED (1) or LOCAL_FRD (20)")
+SECOND_POSES = _warning("Poses of {second} not used: {first} sends some")
 
 # Controller
 

@@ -23,6 +23,9 @@ FAILED_QUALITY = -1
 SAMPLES_MAX = 256
 """Poses accepted per tick; others are dropped."""
 
+SILENT_US = 2_000_000
+"""After so long without a pose of the sender in use another one may take its place."""
+
 _FRAMES = {mav.MAV_FRAME_LOCAL_NED: ExternalFrame.NED, mav.MAV_FRAME_LOCAL_FRD: ExternalFrame.FRD}
 _PLACES = (0, 1, 2, 5)
 """x, y, z, yaw among the six."""
@@ -36,6 +39,9 @@ class ExternalPoses:
         self._reported: set[MavlinkPeer] = set()
         self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
         """Last pose of each sender whose time stamps are unusable."""
+        self._sender: MavlinkPeer | None = None
+        """In use: two do not measure in one frame, and each counts its own resets."""
+        self._sender_us = 0
 
     def on_vision_position_estimate(self, peer: MavlinkPeer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
@@ -46,15 +52,27 @@ class ExternalPoses:
         """ODOMETRY: its pose; the velocity is not used."""
         frame = _FRAMES.get(msg.frame_id)
         if frame is None:
-            if peer not in self._reported and len(self._reported) < SAMPLES_MAX:
-                self._reported.add(peer)
-                self._ctx.say(notices.ODOMETRY_FRAME(frame=msg.frame_id), peer)
+            self._report_once(notices.ODOMETRY_FRAME(frame=msg.frame_id), peer)
             return
         if getattr(msg, "quality", 0) == FAILED_QUALITY:
             return
         self._add(
             peer, msg.time_usec, (msg.x, msg.y, msg.z), _yaw(msg.q), msg.pose_covariance, frame, msg.reset_counter
         )
+
+    def _report_once(self, notice: notices.OperatorText, peer: MavlinkPeer) -> None:
+        if peer not in self._reported and len(self._reported) < SAMPLES_MAX:
+            self._reported.add(peer)
+            self._ctx.say(notice, peer)
+
+    def _uses(self, peer: MavlinkPeer) -> bool:
+        """Whether poses of this sender are taken, by whichever link."""
+        t_us, first = self._ctx.t_us, self._sender
+        if first is not None and first.name != peer.name and t_us - self._sender_us <= SILENT_US:
+            self._report_once(notices.SECOND_POSES(second=peer.name, first=first.name), peer)
+            return False
+        self._sender, self._sender_us = peer, t_us
+        return True
 
     def _add(
         self,
@@ -67,7 +85,7 @@ class ExternalPoses:
         reset_counter: int,
     ) -> None:
         waiting = self._ctx.samples
-        if len(waiting) >= SAMPLES_MAX:
+        if len(waiting) >= SAMPLES_MAX or not self._uses(peer):
             return
         stamped_us = self._stamped_us(stamp_us)
         arrived_us = self._ctx.t_us - round(1e6 * self._ctx.params["EST_EXT_DELAY"])

@@ -14,9 +14,9 @@ TRIANGLE = [float(k + 1) for k in range(21)]
 """1 to 21: the diagonal of x, y, z, yaw is 1, 7, 12, 21."""
 
 
-def vision(usec: int = 0, covariance: list[float] | None = None, reset: int = 0) -> Any:
+def vision(usec: int = 0, covariance: list[float] | None = None, reset: int = 0, x: float = 1.0) -> Any:
     return mav.MAVLink_vision_position_estimate_message(
-        usec, 1.0, -2.0, 0.5, 0.01, -0.02, 0.75, TRIANGLE if covariance is None else covariance, reset
+        usec, x, -2.0, 0.5, 0.01, -0.02, 0.75, TRIANGLE if covariance is None else covariance, reset
     )
 
 
@@ -80,6 +80,27 @@ def test_what_is_not_used(world: World) -> None:
     assert sum("ODOMETRY in frame 4" in text for text in texts) == 1
 
 
+def test_of_two_senders_one_is_used_and_the_other_told_until_the_first_is_silent(world: World) -> None:
+    """They measure in frames of their own and count resets of their own."""
+    first, second = world.client(sysid=50, compid=197), world.client(sysid=51, compid=197, number=1)
+
+    def used() -> list[float]:
+        first.send(vision(x=1.0))
+        second.send(vision(x=2.0))
+        world.tick()
+        return [float(sample.pos_m[0]) for sample in world.server.take_samples()]
+
+    assert [used() for _ in range(50)] == [[1.0]] * 50
+    texts = [message.text for message in second.rx if message.get_type() == "STATUSTEXT"]
+    assert texts == ["Poses of 51/197 not used: 50/197 sends some"]
+    world.run(2.1)
+    second.send(vision(x=2.0))
+    world.tick()
+    (sample,) = world.server.take_samples()
+    assert sample.pos_m[0] == 2.0
+    assert used() == [2.0], "whose turn it is now"
+
+
 def test_bad_numbers_are_passed_on_for_the_estimator_to_count() -> None:
     nothing = mav.MAVLink_odometry_message(
         0, mav.MAV_FRAME_LOCAL_NED, 12, NAN, 4.0, 1.0, [0.0] * 4, *(0.0,) * 6, TRIANGLE, TRIANGLE, 7, 0, 0
@@ -113,12 +134,6 @@ def test_of_poses_that_come_at_once_with_stamps_of_nobody_the_last_is_of_now(wor
     told = [mav.MAVLink_vision_position_estimate_message(0, x, 0.0, 0.5, 0.0, 0.0, 0.0, TRIANGLE, 0) for x in (1, 2, 3)]
     (sample,) = taken(world, *told)
     assert sample.pos_m[0] == 3.0
-    others = [world.client(sysid=50, compid=197), world.client(sysid=51, compid=197)]
-    for client in others:
-        for message in told:
-            client.send(message)
-    world.tick()
-    assert len(world.server.take_samples()) == len(others)
     # Stamps of our clock say when: all of them count.
     now_us = world.t_us
     stamped = [vision(usec=now_us - late) for late in (50_000, 40_000, 30_000)]
