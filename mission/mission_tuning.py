@@ -110,6 +110,10 @@ class UpstreamTuning:
     """A path that becomes longer by this from one update to the next is another path, not drift ..."""
     made_s: float = 10.0
     """Averaging time of the speed towards the goal."""
+    detour_fraction: float = 0.5
+    detour_s: float = 120.0
+    """A way round something is upstream if less than this fraction of the speed is made good on it in such a current
+    and so much time is left."""
     fresh_starts: int = 2
     """... which restarts the count, but not for ever: replanning every minute makes no progress."""
 

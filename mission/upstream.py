@@ -33,9 +33,10 @@ class SlowLeg:
         """Whether the speed left is below ``least_m_s``."""
         return self.left_m_s < least_m_s
 
-    def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
-        """The same from the speed observed with so much path left: margins and estimate only give a prediction."""
-        if speed_m_s <= max(self.left_m_s, 0.0):
+    def made(self, speed_m_s: float, left_m: float, *, anyway: bool = False) -> "SlowLeg":
+        """The same from the speed observed with so much path left: margins and estimate only give a prediction.
+        ``anyway``: also a lower speed, of a way that is not straight."""
+        if speed_m_s <= max(self.left_m_s, 0.0) and not anyway:
             return self
         return replace(self, left_m_s=speed_m_s, time_s=left_m / speed_m_s)
 
@@ -144,4 +145,5 @@ class MadeGood:
             self._seen_s = self._made_m_s = 0.0
         elif elapsed_s > 0.0:
             self._seen_s += elapsed_s
-            self._made_m_s += (nearer_m - self._made_m_s * elapsed_s) / max(UPSTREAM.made_s, elapsed_s)
+            mean_over_s = max(min(self._seen_s, UPSTREAM.made_s), elapsed_s)
+            self._made_m_s += (nearer_m - self._made_m_s * elapsed_s) / mean_over_s

@@ -240,12 +240,21 @@ class MissionRun:
             lambda places: np.tile(current, (len(places), 1)),
         )
 
+    def _detours_upstream(self, nav: NavState) -> bool:
+        """Whether the way to the goal, which is not straight, leads against the current for minutes."""
+        made_m_s, current_m_s = self._made_good.made_m_s, math.hypot(*nav.current_ned_m_s[:2].tolist())
+        slow = 0.0 < made_m_s < UPSTREAM.detour_fraction * self._speed_m_s(nav)
+        return slow and current_m_s >= UPSTREAM.reported_m_s and self._made_good.left_m > UPSTREAM.detour_s * made_m_s
+
     def _report_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
         """Warn of a low speed over ground on the slowest remaining leg (or this one); once per item and result."""
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
-        if leg is not None and only_this:
-            leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
-        if leg is None or leg.left_m_s >= UPSTREAM.reported_m_s:
+        if leg is None or nav is None:
+            return
+        detour = only_this and self._detours_upstream(nav)
+        if only_this:
+            leg = leg.made(self._made_good.made_m_s, self._made_good.left_m, anyway=detour)
+        if leg.left_m_s >= UPSTREAM.reported_m_s and not detour:
             return
         found = (leg.seq, leg.out_of_reach(least_m_s))
         if found not in self._reported_upstream:

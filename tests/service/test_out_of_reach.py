@@ -198,9 +198,22 @@ def test_an_item_that_is_got_nearer_to_is_not_said_to_be_out_of_reach(bench: Ben
         bench.run(0.1)
         bench.pos = bench.pos + 0.004 * way
     told = [text for text in bench.texts if text.startswith("Item 0")]
-    assert len(told) == 1 and told[0].startswith("Item 0 is upstream: 0.03"), told
+    assert len(told) == 1 and told[0].startswith("Item 0 is upstream: 0.040"), told
     bench.run(40.0)
     assert "Item 0 is out of reach: current 0.60 m/s" in bench.texts
+
+
+@pytest.mark.parametrize(("north_m_s", "told"), [(0.3, ["Item 0 is upstream: 0.099 m/s left, 8 min"]), (0.0, [])])
+def test_a_long_way_round_against_the_current_is_told_though_the_goal_lies_downstream(
+    bench: Bench, north_m_s: float, told: list[str]
+) -> None:
+    bench.load().armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    bench.current = np.array([north_m_s, 0.0, 0.0])
+    for tenth in range(300):
+        bench.status.path_left_m = 50.0 - 0.01 * tenth
+        bench.run(0.1)
+    assert [text for text in bench.texts if text.startswith("Item 0")] == told
 
 
 def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> None:
