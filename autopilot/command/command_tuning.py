@@ -158,7 +158,9 @@ class FailsafeInputsTuning:
     pushed: float = 1.0 / 3.0
     """when a thruster is at this share of its limit"""
     away_m: float = 0.3
-    """and the path left is at least this long."""
+    """and the path left is at least this long,"""
+    nearer_m: float = 0.15
+    """and becomes no shorter by this: who stems a current is slow, too."""
     window_s: float = 60.0
     """Averaging time of the energy per metre,"""
     least_s: float = 15.0

@@ -34,6 +34,8 @@ class FailsafeInputs:
         self._fix_us = 0
         self._blind_us: int | None = None
         self._slow_us: int | None = None
+        self._slow_left_m = math.inf
+        """Path left then."""
         self._last_m: tuple[float, float, float] | None = None
         self._travelled_m = 0.0
         self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(FAILSAFE_INPUTS.window_s))
@@ -150,7 +152,8 @@ class FailsafeInputs:
         if not (slow and pushes and left_m is not None and left_m > FAILSAFE_INPUTS.away_m):
             self._slow_us, self.stuck_s = None, 0.0
             return
-        self._slow_us = status.t_us if self._slow_us is None else self._slow_us
+        if self._slow_us is None or left_m < self._slow_left_m - FAILSAFE_INPUTS.nearer_m:
+            self._slow_us, self._slow_left_m = status.t_us, left_m
         self.stuck_s = 1e-6 * (status.t_us - self._slow_us)
 
     def _update_energy(self, status: VehicleStatus, *, on_mission: bool) -> None:

@@ -332,7 +332,8 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.STUCK,
-        condition="under way, a thruster above a third of `THR_LIMIT`, slower than 0.05 m/s for `FS_STUCK_TIME`",
+        condition="under way, a thruster above a third of `THR_LIMIT`, slower than 0.05 m/s and no 0.15 m nearer for "
+        "`FS_STUCK_TIME`",
         level=lambda v, f: f.stuck_s,
         enter="FS_STUCK_TIME",
         action="FS_STUCK_ACT",

@@ -216,6 +216,16 @@ def test_a_long_way_round_against_the_current_is_told_though_the_goal_lies_downs
     assert [text for text in bench.texts if text.startswith("Item 0")] == told
 
 
+@pytest.mark.parametrize(("made_m_s", "stuck"), [(0.028, False), (0.0, True)])
+def test_who_stems_a_current_slowly_is_not_stuck(bench: Bench, made_m_s: float, stuck: bool) -> None:
+    bench.load().armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    for tenth in range(300):
+        bench.status.thrust_n, bench.status.path_left_m = np.full(4, 8.0), 5.0 - 0.1 * made_m_s * tenth
+        bench.run(0.1)
+    assert any("stuck" in text for text in bench.texts) == stuck, bench.texts
+
+
 def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> None:
     bench = Bench(WP_STUCK_ACT=3)
     bench.load().armed()
