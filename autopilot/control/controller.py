@@ -32,6 +32,7 @@ from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
+from autopilot.control.robust.robust_tuning import WATER_SPEED
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import Solution, StepProgram
 from autopilot.control.thrust.slew import SlewWindow, slewed
@@ -223,7 +224,9 @@ class MotionController:
             self.margins.water_speed.reset()
         self._last_us, self._limit_n = t_us, limit_n
         self._follow_lag(t_us)
-        nav = self._forecast.view(nav).in_level_frame()
+        body, nav = nav, self._forecast.view(nav).in_level_frame()
+        if math.dist(body.vel_frd_m_s[:2], nav.vel_frd_m_s[:2]) > WATER_SPEED.aslant_m_s:
+            self.margins.water_speed.reset()
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or delay_s is None:
             return self._neutral(t_us, nav, began)

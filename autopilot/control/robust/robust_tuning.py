@@ -138,6 +138,9 @@ class WaterSpeedTuning:
     """The margin moves by no more than this."""
     longest_s: float = 0.3
     """After a longer pause the filters begin anew."""
+    aslant_m_s: float = 0.03
+    """Nothing is known of a vehicle whose tilt turns so much of its heave into horizontal speed: its drag and thrust
+    are not those of a level one."""
 
 
 WATER_SPEED = WaterSpeedTuning()
