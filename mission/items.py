@@ -225,7 +225,7 @@ def flown_order(
 ) -> Iterator[Step]:
     """Steps but jumps as they are flown from ``cursor`` on, ``most`` at the most, jumps among them counted.
 
-    ``jumps_done``: (step of a jump, how often it was made). Jumps without an end are not made.
+    ``jumps_done``: (step of a jump, how often it was made). Jumps back without an end are not made.
     """
     done = dict(jumps_done)
     for _ in range(most):
@@ -233,7 +233,7 @@ def flown_order(
             return
         step = steps[cursor]
         made = done.get(cursor, 0)
-        if isinstance(step, Jump) and step.count is not None and made < step.count:
+        if isinstance(step, Jump) and (step.target_seq > cursor if step.count is None else made < step.count):
             done[cursor] = made + 1
             cursor = step.target_seq
             continue

@@ -98,7 +98,7 @@ def tour_of(steps: Sequence[Step], params: Mapping[str, float]) -> Tour:
     if laps is not None and before == 1 and waypoints[-1].pos_ned_m == waypoints[0].pos_ned_m:
         # A-B-A with a jump back to B: the last place closes the lap at the first one.
         return Tour(waypoints=waypoints[:-1], laps=laps, closed=True)
-    endless = [step.seq for step in jumps if step.count is None]
+    endless = [step.seq for step in jumps if step.count is None and step.target_seq <= step.seq]
     numbers = {step.seq: number for number, step in enumerate(places) if step.seq < min(endless, default=len(steps))}
     order = (numbers.get(step.seq) for step in flown_order(steps, MOST_STEPS))
     return Tour(waypoints=waypoints, order=tuple(number for number in order if number is not None))

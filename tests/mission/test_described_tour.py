@@ -70,6 +70,12 @@ def test_the_judged_tour_is_the_one_that_is_flown(items: tuple[PlanItem, ...]) -
     assert judged == flown[: len(judged)] and (len(judged) == len(flown) or not complete)
 
 
+def test_a_jump_ahead_without_end_is_made() -> None:
+    """It leads past items, and ends nothing."""
+    items = (waypoint(0, 0.0, 0.0), jump(1, 3, -1), waypoint(2, 1.0, 0.0), waypoint(3, 2.0, 0.0))
+    assert described(items).order == (0, 2)
+
+
 def test_laps_are_named_where_there_are_some() -> None:
     laps = [described(items) for items in (paper_plan(3).mission, (waypoint(0, 1, 0, 0.5), jump(1, 0, 4)))]
     assert [(tour.laps, tour.closed, len(tour.waypoints)) for tour in laps] == [(3, True, 2), (5, False, 1)]
