@@ -96,11 +96,11 @@ class GyroBias:
     def _learn(self, slow: FloatArray, correction: FloatArray, variance: FloatArray) -> None:
         below_limit = self._p.diagonal() < SIGMA_RAD_S**2
         p = self._p + np.diag(WALK_RAD_S_RTS**2 * self._time_s * below_limit)
-        h = slow[:, :3]
+        h, noise = slow[:, :3], np.diag(variance)
         surprise = np.clip(slow[:, 3] - correction - h @ self.rad_s, -MAX_RAD_S, MAX_RAD_S)
         spread = p @ h.T
-        gain = spread @ np.linalg.inv(h @ spread + np.diag(variance))
+        gain = spread @ np.linalg.inv(h @ spread + noise)
         kept = np.eye(3) - gain @ h
-        self._p = kept @ p @ kept.T + gain @ np.diag(variance) @ gain.T  # Joseph form
+        self._p = kept @ p @ kept.T + gain @ noise @ gain.T  # Joseph form
         x, y, z = np.clip(self.rad_s + gain @ surprise, -MAX_RAD_S, MAX_RAD_S).tolist()
         self.rad_s = (x, y, z)

@@ -14,6 +14,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, rpy_from_quat
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
 from autopilot.mavlink.context import Context, MavlinkPeer
+from autopilot.mavlink.first_sender import FirstSender
 from autopilot.mavlink.wire import Message
 
 OLDEST_US = 1_000_000
@@ -39,9 +40,8 @@ class ExternalPoses:
         self._reported: set[MavlinkPeer] = set()
         self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
         """Last pose of each sender whose time stamps are unusable."""
-        self._sender: MavlinkPeer | None = None
+        self._sender = FirstSender(SILENT_US)
         """In use: two do not measure in one frame, and each counts its own resets."""
-        self._sender_us = 0
 
     def on_vision_position_estimate(self, peer: MavlinkPeer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
@@ -66,13 +66,10 @@ class ExternalPoses:
             self._ctx.say(notice, peer)
 
     def _uses(self, peer: MavlinkPeer) -> bool:
-        """Whether poses of this sender are taken, by whichever link."""
-        t_us, first = self._ctx.t_us, self._sender
-        if first is not None and first.name != peer.name and t_us - self._sender_us <= SILENT_US:
-            self._report_once(notices.SECOND_POSES(second=peer.name, first=first.name), peer)
-            return False
-        self._sender, self._sender_us = peer, t_us
-        return True
+        used = self._sender.takes(peer, self._ctx.t_us)
+        if not used:
+            self._report_once(notices.SECOND_POSES(second=peer.name, first=self._sender.name), peer)
+        return used
 
     def _add(
         self,

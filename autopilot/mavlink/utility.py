@@ -2,6 +2,7 @@
 
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.first_sender import FirstSender
 from autopilot.mavlink.wire import Message
 
 STALE_US = 10_000_000
@@ -15,8 +16,7 @@ class Utility:
         self._ctx = ctx
         self.utc_offset_us: int | None = None
         """Unix time minus the service's time [us], as a ground station gave it; None before."""
-        self._timed_by: tuple[int, int] | None = None
-        self._timed_us = 0
+        self._timed_by = FirstSender(STALE_US)
 
     def on_ping(self, peer: MavlinkPeer, msg: Message) -> None:
         """PING: target 0/0 is a request; an addressed one is an answer and must not be answered."""
@@ -39,12 +39,10 @@ class Utility:
     def on_system_time(self, peer: MavlinkPeer, msg: Message) -> None:
         """SYSTEM_TIME of a ground station: kept for boards without a clock. Of two the first is believed, and no other
         vehicle, which tells its own."""
-        t_us, sender = self._ctx.t_us, (peer.sysid, peer.compid)
         if not msg.time_unix_usec or peer.compid == mav.MAV_COMP_ID_AUTOPILOT1:
             return
-        if self._timed_by in (None, sender) or t_us - self._timed_us > STALE_US:
-            self._timed_by, self._timed_us = sender, t_us
-            self.utc_offset_us = msg.time_unix_usec - t_us
+        if self._timed_by.takes(peer, self._ctx.t_us):
+            self.utc_offset_us = msg.time_unix_usec - self._ctx.t_us
 
     def system_time(self) -> Message | None:
         """SYSTEM_TIME: Unix time is 0 while unknown."""
