@@ -7,6 +7,7 @@ A connected device without data is also reported; the reaction to an old reading
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
 from enum import Enum
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -40,6 +41,8 @@ class DeviceState(Enum):
 class RetryingDevice(NoticeQueue, Generic[D]):
     """A device that is reopened after failures. ``name``: its name for operators."""
 
+    opening_wait_s = 0.0
+    """So long a tick waits for an opening. More than 0 only in lockstep, where ticks would outrun the thread."""
     speaks: ClassVar[bool] = False
     """It is back with its first data: a UDP port opens whether or not anybody is there."""
 
@@ -73,6 +76,11 @@ class RetryingDevice(NoticeQueue, Generic[D]):
         """Whether the device can be used now; starts a reconnection if needed."""
         if self._up:
             return True
+        if self._opening is None and t_us >= self._retry_us:
+            self._opening = self._executor.submit(self.device.open)
+            if self.opening_wait_s == 0.0:
+                return False
+            wait_for((self._opening,), self.opening_wait_s)
         if self._opening is not None and self._opening.done():
             opening, self._opening = self._opening, None
             error = opening.exception()
@@ -83,8 +91,6 @@ class RetryingDevice(NoticeQueue, Generic[D]):
                 self._fail(t_us, f"internal fault ({type(error).__name__})")
                 raise error
             self._fail(t_us, str(error))
-        if self._opening is None and t_us >= self._retry_us:
-            self._opening = self._executor.submit(self.device.open)
         return False
 
     def use(self, t_us: int, work: Callable[[], T], otherwise: T) -> T:

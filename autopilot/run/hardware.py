@@ -28,11 +28,15 @@ REPLACES = {row.device: row.kinds for row in SENSOR_ROWS if row.replaces}
 EARLY_US = 500_000
 """So far ahead of a late tick a sample may be; one that is farther has a wrong stamp."""
 
+LOCKSTEP_WAIT_S = 1.0
+"""An emulated device opens in milliseconds, unless its opening needs ticks itself."""
+
 
 class HardwareVehicle:
-    """A :class:`autopilot.run.outside.VehicleIo`. Nothing is opened before the first tick, nothing waits."""
+    """A :class:`autopilot.run.outside.VehicleIo`. Nothing is opened before the first tick, nothing waits unless
+    ``lockstep``: there an opening is, at the same tick each time."""
 
-    def __init__(self, config: VehicleConfig) -> None:
+    def __init__(self, config: VehicleConfig, *, lockstep: bool = False) -> None:
         vehicle = config.vehicle
         self._thrusters = len(vehicle.thrusters)
         made = {kind: setup.make(vehicle) for kind, setup in config.devices.items()}
@@ -55,6 +59,9 @@ class HardwareVehicle:
         self._driven_payload = device if isinstance(device, PayloadOutput) else None
         rest = (self._camera, self._output)
         self.devices: tuple[RetryingDevice[Any], ...] = (*self._sensors.values(), *(each for each in rest if each))
+        if lockstep:
+            for each in self.devices:
+                each.opening_wait_s = LOCKSTEP_WAIT_S
         self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
         self._tilt = TiltReports(vehicle)

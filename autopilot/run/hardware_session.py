@@ -90,7 +90,7 @@ class HardwareWorld(World):
 
     def open_device(self, parts: ServiceParts) -> None:
         """Nothing is opened before the first tick."""
-        self.device = HardwareVehicle(self._config)
+        self.device = HardwareVehicle(self._config, lockstep=self.speed == 0.0)
         parts.equipment.leave_out(self.device.unwired)
 
     def epoch_ns(self, t_us: int) -> int:
