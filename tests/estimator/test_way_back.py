@@ -6,8 +6,9 @@ import pytest
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.frame_filter import FrameFilter
+from autopilot.estimator.startup import WINDOW_US
 from autopilot.estimator.vision import Hint
-from autopilot.estimator.vision_worker import ACQUISITION_EVERY, SUSPECT_EVERY, VisionWorker
+from autopilot.estimator.vision_worker import ACQUISITION_US, SUSPECT_US, VisionWorker
 
 SHAPE = (48, 64, 3)
 
@@ -33,26 +34,45 @@ def nav(health: NavHealth) -> NavState:
     return NavState(t_us=0, health=health, variance=np.ones(12), **places)
 
 
-def searched(health: NavHealth, *, found: bool = True, count: int = 18) -> list[tuple[int, bool]]:
+def searched(health: NavHealth, rate_hz: float, *, found: bool = True) -> list[tuple[int, bool]]:
+    """What was done with the pictures of four seconds."""
     detector, rng = Noting(found=found), np.random.default_rng(1)
     worker = VisionWorker(detector, delay_s=0.0, frame_filter=FrameFilter(SHAPE[1], SHAPE[0]))
-    for k in range(count):
-        image = rng.integers(20, 220, SHAPE, dtype=np.uint8)
-        worker.submit(k, CameraFrame(t_us=k, image_bgr=image), nav(health))
-        worker.collect(k)
+    for k in range(round(4.0 * rate_hz)):
+        image, t_us = rng.integers(20, 220, SHAPE, dtype=np.uint8), round(1e6 * k / rate_hz)
+        worker.submit(t_us, CameraFrame(t_us=t_us, image_bgr=image), nav(health))
+        worker.collect(t_us)
     worker.close()
     return detector.searched
 
 
-def test_a_good_estimate_is_always_the_hint() -> None:
-    assert searched(NavHealth.GOOD) == [(k, True) for k in range(18)]
+def without(looks: list[tuple[int, bool]]) -> list[int]:
+    return [t_us for t_us, hinted in looks if not hinted]
 
 
-def test_in_dead_reckoning_every_third_picture_is_searched_without() -> None:
-    assert searched(NavHealth.DEAD_RECKONING) == [(k, k % SUSPECT_EVERY != 0) for k in range(18)]
+RATES = pytest.mark.parametrize("rate_hz", [5.0, 8.0, 10.0, 12.0, 20.0, 30.0, 60.0])
 
 
-@pytest.mark.parametrize(("found", "every"), [(True, SUSPECT_EVERY), (False, ACQUISITION_EVERY)])
-def test_a_lost_vehicle_looks_more_often_once_there_is_something_to_see(found: bool, every: int) -> None:
-    times = [t_us for t_us, hinted in searched(NavHealth.INVALID, found=found) if not hinted]
-    assert times[0] == 0 and np.diff(times[1:]).tolist() == [every] * (len(times) - 2)
+@RATES
+def test_a_good_estimate_is_always_the_hint(rate_hz: float) -> None:
+    looks = searched(NavHealth.GOOD, rate_hz)
+    assert len(looks) == round(4.0 * rate_hz) and not without(looks)
+
+
+@RATES
+def test_in_dead_reckoning_some_pictures_are_searched_without(rate_hz: float) -> None:
+    looks = searched(NavHealth.DEAD_RECKONING, rate_hz)
+    gaps_us = np.diff(without(looks))
+    assert len(looks) == round(4.0 * rate_hz) and not looks[0][1]
+    assert gaps_us.min() >= max(SUSPECT_US, 2e6 / rate_hz - 1)
+    assert gaps_us.max() <= max(SUSPECT_US + 1e6 / rate_hz, 2e6 / rate_hz) + 1
+
+
+@RATES
+@pytest.mark.parametrize("found", [True, False])
+def test_a_lost_vehicle_looks_more_often_once_there_is_something_to_see(found: bool, rate_hz: float) -> None:
+    """At any rate often enough that three looks fall into the second in which fixes must agree."""
+    times_us = without(searched(NavHealth.INVALID, rate_hz, found=found))
+    gaps_us, least_us = np.diff(times_us[1:]), SUSPECT_US if found else ACQUISITION_US
+    assert times_us[0] == 0 and gaps_us.min() >= least_us
+    assert gaps_us.max() <= least_us + 1e6 / rate_hz + 1 and gaps_us.max() < 0.5 * WINDOW_US
