@@ -19,6 +19,7 @@ from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.nmpc.unsolved import saved
 from autopilot.control.path.guidance import GuidanceInputs, Reference, Weights
 from autopilot.control.path.planner import Planner
+from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.robust_tuning import TUBE
@@ -130,7 +131,7 @@ class StepProgram:
         of 1 cm/s."""
         back_off = math.ceil(100.0 * self.speed_back_off_m_s - 1e-6) / 100.0
         if self.margins.speed_margin_m_s is None:
-            back_off = max(params["MPC_SPEED_MARGIN"], back_off)
+            back_off = max(unknown_speed_m_s(params), back_off)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off, math.floor(100.0 * least_m_s) / 100.0)
 
     def begin(self, now: GuidanceInputs, reference: Reference) -> None:

@@ -226,7 +226,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     ),
     _int("MAV_FORWARD", 0, 0, 1, "Messages between clients and links: 0 = not passed on, 1 = passed on."),
     _real("MPC_MARGIN", 0.03, 0.0, 1.0, "m", "Least distance kept beyond the body radius."),
-    _real("MPC_SPEED_MARGIN", 0.08, 0.0, 0.5, "m/s", "Planar speed margin while drag is unknown."),
+    _real("MPC_SPEED_MARGIN", 0.08, 0.0, 0.5, "m/s", "Planar speed margin of unknown drag; more above 0.5 m/s."),
     _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),
     _real("MPC_Q_YAW", 3.0, 0.0, 1e4, "", "NMPC weight on heading error."),
     _real("MPC_Q_Z", 40.0, 0.0, 1e4, "", "NMPC weight on depth error."),

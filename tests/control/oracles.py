@@ -13,7 +13,7 @@ from autopilot.control.energy.energy_tuning import TRACK
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.path.path_tuning import REFERENCE
-from autopilot.control.path.reference import ReferenceTarget
+from autopilot.control.path.reference import ReferenceTarget, unknown_speed_m_s
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.inner import plan_error
@@ -94,7 +94,7 @@ def tube_back_offs(
     return BackOffs(
         clearance_m=kept(TUBE.disc_sigmas, disc, TUBE.largest_clearance_m, least.clearance_m),
         depth_m=kept(sigmas, inner[:, 3] + spread.depth_m2, 0.5 * most * band_m, 0.0),
-        planar_speed_m_s=np.maximum(speed_fraction * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
+        planar_speed_m_s=np.maximum(speed_fraction * planar, np.minimum(planar, unknown_speed_m_s(params))),
         heave_m_s=kept(sigmas, inner[:, 8] + heave_variance, heave_limit_m_s, least.heave_m_s),
         yaw_rate_rad_s=kept(sigmas, inner[:, 9], most * params["SPD_YAW_MAX"], least.yaw_rate_rad_s),
         thrust_n=sigmas * np.sqrt(rows[:-1, TUBE.states_out :]),

@@ -231,6 +231,7 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
 def test_a_step_that_was_halved_grows_again(seed: int) -> None:
     """Steps that stayed at a quarter came nearer by a quarter each: they used up the QPs of a step."""
     one = case(seed, 0)
+    one.params.set("MPC_SPEED_MARGIN", 0.08 * min(1.0, 0.5 / one.params["SPD_PLANAR_MAX"]))  # 0.08 m/s at any limit
     controller = MotionController(one.vehicle, cpu_clock=lambda: 0.0)
     told = nav_state(0, one.start, one.current)
     output = controller.step(0, told, one.goal, Fence(depth_max_m=DEPTH_M), one.params, one.limit_n)

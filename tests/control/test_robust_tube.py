@@ -181,6 +181,16 @@ def test_margins_follow_estimate_and_bounds() -> None:
     assert (calm.clearance_m == ParamSet()["MPC_MARGIN"]).all(), "the fixed margin is the floor"
 
 
+@pytest.mark.parametrize("limit_m_s", [0.3, 0.5, 0.65, 0.9, 1.5])
+@pytest.mark.parametrize("mode", [0, 1])
+def test_the_speed_margin_grows_with_the_limit(mode: int, limit_m_s: float) -> None:
+    """What unknown drag and thrust falsify is a share of the speed: 15 % and 20 % at once are 0.16."""
+    x, thrust = cruise(0.3)
+    params = ParamSet({"MPC_TIGHTEN": mode, "SPD_PLANAR_MAX": limit_m_s, "SPD_CRUISE": 0.2})
+    back_off = MARGINS.back_offs(nav_with(), x, thrust, params)
+    assert back_off.planar_speed_m_s.min() >= max(0.08, 0.16 * limit_m_s) - 1e-9
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e12, -1.0])
 def test_margins_stay_finite_whatever_the_estimator_says(bad: float) -> None:
     x, thrust = cruise(0.3)

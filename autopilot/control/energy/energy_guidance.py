@@ -24,6 +24,7 @@ from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.path.guidance import GuidanceInputs, Reference, RouteGuidance, Weights
+from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.control.path.workers import TaskFailures
 from autopilot.core import operator_messages as notices
 from autopilot.core.acceptance import LARGEST_SHARE, sure_limit
@@ -355,7 +356,7 @@ class EnergyGuidance:
     def _cap_changed(self, now: GuidanceInputs) -> bool:
         """Whether the plan was made with another limit of the planar speed, and one of them is higher than without
         knowledge of the drag."""
-        usual_m_s = now.params["SPD_PLANAR_MAX"] - now.params["MPC_SPEED_MARGIN"]
+        usual_m_s = now.params["SPD_PLANAR_MAX"] - unknown_speed_m_s(now.params)
         caps = now.speed_cap_m_s, self._planned_cap_m_s
         return max(caps) > usual_m_s + GUIDANCE.other_cap_m_s and abs(caps[0] - caps[1]) > GUIDANCE.other_cap_m_s
 

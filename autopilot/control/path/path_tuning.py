@@ -97,6 +97,8 @@ PLANNER = PlannerTuning()
 class ReferenceTuning:
     """Constants of :mod:`autopilot.control.path.reference`."""
 
+    margin_at_m_s: float = 0.5
+    """Planar speed limit up to which MPC_SPEED_MARGIN holds."""
     deceleration_m_s2: float = 0.12
     heave_deceleration_m_s2: float = 0.1
     yaw_deceleration_rad_s2: float = 0.4

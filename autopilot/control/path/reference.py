@@ -14,6 +14,7 @@ from autopilot.core import compiled
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import AXES, NX
+from autopilot.core.params import ParamSet
 
 
 class Route:
@@ -51,6 +52,12 @@ class Route:
         result = np.empty((len(rest) + 1, 2))
         result[0], result[1:] = here, rest
         return result
+
+
+def unknown_speed_m_s(params: ParamSet) -> float:
+    """Planar speed margin [m/s] while drag is unknown: a wrong ratio of drag to thrust falsifies the speed through the
+    water by a share of it, so beyond 0.5 m/s MPC_SPEED_MARGIN grows with the limit."""
+    return params["MPC_SPEED_MARGIN"] * max(1.0, params["SPD_PLANAR_MAX"] / REFERENCE.margin_at_m_s)
 
 
 def water_speed_fraction(against_m_s: float, water_limit_m_s: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from autopilot.control.path.path_tuning import REFERENCE, STRONG_STREAM
 from autopilot.control.path.planner import Planner
+from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState
@@ -46,7 +47,7 @@ class StrongStream:
         elapsed_s = math.inf if self._t_us is None else max(0.0, (nav.t_us - self._t_us) * 1e-6)
         self._current = self._current + (estimated - self._current) * min(1.0, elapsed_s / tuning.follow_s)
         self._t_us, current_m_s = nav.t_us, math.hypot(*self._current.tolist())
-        made_m_s = max(limit_m_s - params["MPC_SPEED_MARGIN"], tuning.least_made_m_s)
+        made_m_s = max(limit_m_s - unknown_speed_m_s(params), tuning.least_made_m_s)
         self.active = current_m_s > (tuning.leave_ratio if self.active else tuning.enter_ratio) * made_m_s
         if not self.active:
             self.bow_rad, self.cap_m_s, self.can_m_s, self.shortfall = None, 0.0, 0.0, ""

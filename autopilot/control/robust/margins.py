@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
-from autopilot.control.path.reference import water_speed_fraction
+from autopilot.control.path.reference import unknown_speed_m_s, water_speed_fraction
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.mismatch_evidence import SpeedEvidence
@@ -96,8 +96,8 @@ class Margins(NoticeQueue):
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
             self.yaw_rate.update(nav)
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
-            self.evidence.update(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
-            unknown_m_s = max(self.evidence.margin_fraction * tube_m_s, params["MPC_SPEED_MARGIN"])
+            self.evidence.update(nav, params["SPD_PLANAR_MAX"], tube_m_s, unknown_speed_m_s(params))
+            unknown_m_s = max(self.evidence.margin_fraction * tube_m_s, unknown_speed_m_s(params))
             self._move_speed_margin(nav.t_us, unknown_m_s, params["SPD_PLANAR_MAX"])
         else:
             self.evidence.reset()

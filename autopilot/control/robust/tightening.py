@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
@@ -53,7 +54,7 @@ class FixedMargins:
     def values(self, params: ParamSet) -> FixedValues:
         return FixedValues(
             clearance_m=params["MPC_MARGIN"],
-            planar_speed_m_s=params["MPC_SPEED_MARGIN"],
+            planar_speed_m_s=unknown_speed_m_s(params),
             heave_m_s=(1.0 - HEAVE_SHARE) * params["SPD_HEAVE_MAX"],
             yaw_rate_rad_s=(1.0 - YAW_RATE_SHARE) * params["SPD_YAW_MAX"],
         )

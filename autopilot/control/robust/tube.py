@@ -17,6 +17,7 @@ from typing import cast
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.control.robust.ancillary import SURGES_M_S, Ancillary
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
@@ -122,7 +123,7 @@ class TubeMargins:
         half = 0.5 * (xx - yy)
         size = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
         wanted = TUBE.band_sigmas * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
-        return max(min(wanted, TUBE.largest_fraction * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
+        return max(min(wanted, TUBE.largest_fraction * params["SPD_PLANAR_MAX"]), unknown_speed_m_s(params))
 
     def back_offs(
         self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_fraction: float = 1.0
@@ -175,4 +176,4 @@ class TubeMargins:
             ),
             *(TUBE.largest_fraction * params["SPD_HEAVE_MAX"], TUBE.largest_fraction * params["SPD_YAW_MAX"]),
         )
-        self._given[27] = params["MPC_SPEED_MARGIN"]
+        self._given[27] = unknown_speed_m_s(params)
