@@ -17,7 +17,7 @@ between them. Over N steps with the commands u_k of one thruster and their diffe
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,12 +93,19 @@ class Bars:
     alternating: float = 0.005
     ratio: float = 2.0
     step_n: float = 3.0
+    """Of a thrust limit of 12 N; in proportion to others."""
     reversals_1_s: float = 0.3
     silent: float = 0.0
 
+    def of(self, found: Smoothness) -> "Bars":
+        """For the thrust limit of these commands, the same if it is not known."""
+        limits = found.least_n_s / (12.0 * LEAST_SLOW_1_S) or 1.0
+        return replace(self, step_n=self.step_n * limits)
+
     def broken(self, found: Smoothness) -> list[str]:
         """Names of the bars that are not kept."""
-        return [f.name for f in fields(self) if not getattr(found, f.name) <= getattr(self, f.name)]
+        bars = self.of(found)
+        return [f.name for f in fields(self) if not getattr(found, f.name) <= getattr(bars, f.name)]
 
 
 BARS = Bars()

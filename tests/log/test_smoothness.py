@@ -38,6 +38,15 @@ def test_a_tenth_of_the_steps_alternates() -> None:
     assert set(BARS.broken(found)) == {"alternating", "ratio", "step_n"}
 
 
+@pytest.mark.parametrize("times", [0.3, 1.0, 2.5])
+def test_steps_are_judged_by_the_thrust_limit(times: float) -> None:
+    thrust = np.full(400, 1.0)
+    for step_n, kept in ((2.9, True), (3.1, False)):
+        thrust[200:] = 1.0 + step_n
+        found = measure(commands(times * thrust, limit_n=times * 12.0))
+        assert found is not None and ("step_n" not in BARS.broken(found)) is kept
+
+
 def test_noise_on_a_straight_way_is_judged_by_the_limit_and_not_by_what_does_not_have_to_change() -> None:
     rng = np.random.default_rng(4)
     for sigma_n, kept in ((0.1, True), (0.2, False)):
