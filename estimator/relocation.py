@@ -5,7 +5,7 @@ from collections import deque
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.aiding import REJECT_COUNT
 from autopilot.estimator.measure_pose import PoseFix
-from autopilot.estimator.startup import AGREE_COUNT, WINDOW_US, agree
+from autopilot.estimator.startup import AGREE_COUNT, SLOW_WINDOW_US, WINDOW_US, agree
 
 
 class Relocation:
@@ -32,10 +32,11 @@ class Relocation:
         As many fixes must agree as make a sensor count as rejecting, or, when the filter is ``lost`` (no good fix
         for a while), as at start-up."""
         self._fixes.append(fix)
-        last = list(self._fixes)[-(AGREE_COUNT if lost else REJECT_COUNT) :]
+        count, longest_us = (AGREE_COUNT, SLOW_WINDOW_US) if lost else (REJECT_COUNT, WINDOW_US)
+        last = list(self._fixes)[-count:]
         first = last[0]
         span_us = fix.t_us - first.t_us
-        if len(last) < (AGREE_COUNT if lost else REJECT_COUNT) or not 0 < span_us <= WINDOW_US:
+        if len(last) < count or not 0 < span_us <= longest_us:
             return None
         if not all(agree(fix, other) for other in last):
             return None

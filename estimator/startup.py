@@ -9,6 +9,8 @@ from autopilot.estimator.measure_pose import PoseFix
 AGREE_COUNT = 3
 """Fixes that must agree, the newest among them."""
 WINDOW_US = 1_000_000
+SLOW_WINDOW_US = 2_500_000
+"""For the newest three of a slow source: acoustic positioning gives one or two fixes a second."""
 AGREE_M = 0.10
 AGREE_RAD = 0.15
 SPEED_M_S = 0.8
@@ -23,8 +25,10 @@ class StartUp:
         self._fixes: deque[PoseFix] = deque(maxlen=12)
 
     def offer(self, fix: PoseFix) -> bool:
-        """True if ``fix`` can be accepted: at least two others of the last second agree with it."""
-        others = [f for f in self._fixes if f.t_us != fix.t_us and abs(fix.t_us - f.t_us) <= WINDOW_US]
+        """True if ``fix`` can be accepted: at least two others agree with it, of the last second or the newest two."""
+        nearest = sorted((f for f in self._fixes if f.t_us != fix.t_us), key=lambda f: abs(fix.t_us - f.t_us))
+        windows_us = (SLOW_WINDOW_US if k < AGREE_COUNT - 1 else WINDOW_US for k in range(len(nearest)))
+        others = [f for f, window_us in zip(nearest, windows_us, strict=True) if abs(fix.t_us - f.t_us) <= window_us]
         self._fixes.append(fix)
         return 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT
 
