@@ -31,6 +31,7 @@ from autopilot.core.samples import (
 )
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
+from autopilot.estimator.anchor import FixRhythm
 from autopilot.estimator.attitude import AttitudeSource
 from autopilot.estimator.camera_monitor import NO_CAMERA, CameraMonitor
 from autopilot.estimator.estimator_tuning import ENGINE
@@ -127,6 +128,7 @@ class AidedEstimator(Estimator):
         self._ahrs_ages_us: deque[int] = deque(maxlen=AGES)
         """Of the last samples on arrival: by a slow link they come late, and are not missing."""
         self._anchored_since_us: int | None = None
+        self._rhythm = FixRhythm()
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
@@ -281,7 +283,8 @@ class AidedEstimator(Estimator):
         heading, model = self._sources.heading, self._sources.model
         model_informs = model.is_informative(moment, newest.state.x)
         anchor_age_us = self._sources.anchor_age_us(inertial.t_us)
-        anchored = anchor_age_us <= ENGINE.coast_after_us
+        self._rhythm.note(anchor_age_us)
+        anchored = anchor_age_us <= self._rhythm.coast_after_us
         mode = ProcessNoiseMode.NOMINAL
         if not inertial.real:
             mode = ProcessNoiseMode.BLIND
@@ -300,13 +303,13 @@ class AidedEstimator(Estimator):
         else:  # at rest with fixes the current is not seen either, but what it does matters to nothing
             self._water.lose()
             step = step_between(before, inertial, mode, None, 0.0 if anchored else self._water.variance_per_s(x))
-        if anchor_age_us <= ENGINE.alone_after_us:
+        if anchor_age_us <= self._rhythm.alone_after_us:
             imu.gyro.anchor()
         elif imu.gyro.trusted:
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
         drift = self._sources.velocity.drift
-        if self._sources.position_age_us(inertial.t_us) <= ENGINE.alone_after_us:
+        if self._sources.position_age_us(inertial.t_us) <= self._rhythm.alone_after_us:
             drift.fixed(inertial.t_us, x)
         elif anchored:
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))

@@ -171,6 +171,11 @@ class EngineTuning:
     soon turns the heading beyond its sigma. Fixes come twice as often, latency included."""
     coast_after_us: int = 300_000
     """Time without a fix or a velocity over ground after which the current is held."""
+    alone_rhythms: float = 1.1
+    coast_rhythms: float = 1.5
+    """The same for slow sources, in times that the newest fix usually reaches before the next;"""
+    longest_rhythm_us: int = 800_000
+    """of which no more is believed: two fixes a second, with 0.3 s of latency."""
     tracked_us: int = 1_000_000
     """Largest age of a velocity over ground for dead reckoning."""
     redriven_us: int = 800_000
