@@ -18,8 +18,6 @@ from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
 """Time for which a COMMAND_LONG with confirmation > 0 counts as a retransmission of the first."""
-DUPLICATE_US = 250_000
-"""The same datagram again within this time is a duplicate made by the network."""
 FIRST_PROGRESS_US = 300_000
 PROGRESS_US = 1_000_000
 """Delay after the command, and interval, of IN_PROGRESS to a waiting client."""
@@ -101,7 +99,6 @@ class CommandRow:
 @dataclass(frozen=True, slots=True)
 class _Remembered:
     key: tuple[object, ...]
-    datagram: tuple[int, int]
     at_us: int
     answer: CommandReply
 
@@ -196,14 +193,16 @@ class CommandProtocol:
             self._reply(peer, call.command, Reply(CommandReply(result=CommandResult.NOT_IN_CONTROL, reason=kept_out)))
             return
         key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
-        datagram = (msg.get_seq(), msg.get_crc())
         before = self._last.get(peer)
-        if before is not None and before.key == key and self._is_repeat(before, msg, datagram):
+        copy = self._ctx.is_copy(peer, msg)
+        if before is not None and before.key == key and (copy or self._is_repeat(before, msg)):
             self._ack(peer, call.command, before.answer)
+            return
+        if copy:
             return
         reply = entry.handler(call)
         self._waiting.pop((peer, call.command), None)
-        self._last[peer] = _Remembered(key, datagram, self._ctx.t_us, reply.answer)
+        self._last[peer] = _Remembered(key, self._ctx.t_us, reply.answer)
         if reply.later is not None and reply.answer.result is CommandResult.IN_PROGRESS:
             self._waiting[peer, call.command] = _Waiting(reply.later, self._ctx.t_us + FIRST_PROGRESS_US)
             return
@@ -227,10 +226,8 @@ class CommandProtocol:
         if before is not None and before.key[0] == command:
             self._last[peer] = replace(before, answer=answer)
 
-    def _is_repeat(self, before: _Remembered, msg: Message, datagram: tuple[int, int]) -> bool:
+    def _is_repeat(self, before: _Remembered, msg: Message) -> bool:
         age_us = self._ctx.t_us - before.at_us
-        if before.datagram == datagram:
-            return age_us <= DUPLICATE_US
         return getattr(msg, "confirmation", 0) > 0 and age_us <= REPEAT_US * self._ctx.patience
 
     def _reply(self, peer: MavlinkPeer, command: int, reply: Reply) -> None:

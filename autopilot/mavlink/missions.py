@@ -17,7 +17,6 @@ from autopilot.mavlink import home_item
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -28,14 +27,10 @@ GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
 """Consecutive items out of sequence that end an upload: the client ignores requests."""
-DUPLICATE_US = 250_000
-"""The same MISSION_COUNT datagram again within this time is a duplicate made by the network, later it is a restart."""
 DOWNLOAD_US = 10_000_000
 """Time for which a download's snapshot is kept after the client's last request."""
 REPEAT_US = 5_000_000
 """Time for which MISSION_ACK is repeated when the client sends its last item again."""
-REPEAT_PAUSE_US = 200_000
-"""But not more often than this: a duplicated datagram is not a repetition."""
 SLOW_DISK_US = 1_000_000
 """Maximum wait of a plan in force for the disk before it is acknowledged (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
@@ -85,7 +80,6 @@ class Finished:
     result: MissionResult
     plan_id: int
     at_us: int
-    answered_us: int
     guilty: int | None = None
     """The item of a refusal."""
 
@@ -104,7 +98,6 @@ class Missions:
         self._checking: Checking | None = None
         self._finished: Finished | None = None
         self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
-        self._counts: RecentKeys[tuple[MavlinkPeer, int, int]] = RecentKeys(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """Item that downloads mark as current."""
         self.revision = 0
@@ -139,9 +132,6 @@ class Missions:
             return
         if self._denied(peer, kind):
             return
-        mark = (peer, msg.get_seq(), msg.get_crc())
-        if self._is_late_duplicate(mark):
-            return
         self._give_up_check()
         self._upload = self._finished = None
         most = MAX_ITEMS[kind]
@@ -155,13 +145,6 @@ class Missions:
             self._finish(self._upload)
         else:
             self._request_item(self._upload)
-
-    def _is_late_duplicate(self, mark: tuple[MavlinkPeer, int, int]) -> bool:
-        """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
-        seen = self._counts.knows(mark, self._ctx.t_us)
-        if not seen:
-            self._counts.add(mark, self._ctx.t_us)
-        return seen
 
     def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
         upload = self._upload
@@ -218,8 +201,7 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
-        if msg.seq in (done.count - 1, done.guilty) and now_us - done.answered_us >= REPEAT_PAUSE_US:
-            done.answered_us = now_us
+        if msg.seq in (done.count - 1, done.guilty):
             if done.guilty is not None and done.guilty != msg.seq:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
@@ -313,7 +295,7 @@ class Missions:
         now_us = self._ctx.t_us
         self._upload = None
         plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
-        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us, guilty)
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, guilty)
         self._ctx.begin_anew()
         if guilty is not None and guilty != upload.requested and 0 <= guilty < upload.count:
             self._request_item(upload, guilty)

@@ -101,6 +101,25 @@ _HEAVY = frozenset(
     )
 )
 
+_ONCE = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_MISSION_ACK,
+        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
+        mav.MAVLINK_MSG_ID_LOG_ERASE,
+        extra.MAVLINK_MSG_ID_COMMAND_CANCEL,
+    )
+)
+"""A copy of these that comes late would undo what the client has sent meanwhile (commands have an answer to repeat)."""
+
 _ZERO = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
 
 Handler = Callable[[MavlinkPeer, Message], None]
@@ -490,6 +509,8 @@ class MavlinkServer:
         self._note_version(address, msg)
         self._announcements.greet(peer)
         if self._operators.refused(peer, msg):
+            return
+        if msg.get_msgId() in _ONCE and self._ctx.is_copy(peer, msg):
             return
         try:
             self._handlers[msg.get_msgId()](peer, msg)
