@@ -132,8 +132,8 @@ class Missions:
             return
         if self._denied(peer, kind):
             return
-        self._give_up_check()
-        self._upload = self._finished = None
+        self._supersede(kind)
+        self._finished = None
         most = MAX_ITEMS[kind]
         if msg.count > most + (kind is PlanKind.MISSION):
             self._ack(peer, MissionResult.NO_SPACE, kind)
@@ -179,8 +179,9 @@ class Missions:
             self._ctx.say(notices.REFUSED(reason=reason), peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
-        """A repeated item is ignored; after a skipped one the missing item is requested again."""
-        if msg.mission_type == upload.kind and msg.seq < len(upload.items):
+        """A repeated item is ignored, as is one of a transfer that this one has superseded; after a skipped one the
+        missing item is requested again."""
+        if msg.mission_type != upload.kind or msg.seq < len(upload.items):
             return
         upload.wrong += 1
         if upload.wrong > MAX_WRONG_ITEMS:
@@ -229,18 +230,31 @@ class Missions:
         self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
         self.answer()
 
-    def _give_up_check(self) -> None:
-        """The client starts another transfer. The plan in force by now (not on disk yet) is reported by text: a
-        MISSION_ACK would be taken for that of the new transfer.
+    def _supersede(self, mission_type: int) -> None:
+        """The client starts another transfer, of this type: an open one of another type gets its answer, one of the
+        same type none, because it would be taken for that of the new one.
         """
+        upload, self._upload = self._upload, None
+        if upload is not None and upload.kind != mission_type:
+            self._ack(upload.peer, MissionResult.OPERATION_CANCELLED, upload.kind)
+        checking = self._checking
+        taken = self._give_up_check()
+        if checking is not None and checking.mission_type != mission_type:
+            result = MissionResult.ACCEPTED if taken else MissionResult.OPERATION_CANCELLED
+            self._ack(checking.peer, result, checking.mission_type)
+
+    def _give_up_check(self) -> bool:
+        """Cancel a pending check; whether its plan is in force by now (not on disk yet), which is reported by text."""
         checking, self._checking = self._checking, None
         if checking is None:
-            return
+            return False
         checking.change.cancel()
-        if checking.change.rejection is None:
+        taken = checking.change.rejection is None
+        if taken:
             self.revision += len(checking.kinds)
             for kind in checking.kinds:
                 self._say_taken(kind)
+        return taken
 
     def _say_taken(self, kind: PlanKind) -> None:
         items = self._ctx.plans.items(kind)
@@ -335,8 +349,7 @@ class Missions:
         checking = self._checking
         if checking is not None and checking.upload is None and checking.mission_type == msg.mission_type:
             return  # retransmitted while the check is pending
-        self._give_up_check()
-        self._upload = None
+        self._supersede(msg.mission_type)
         self._check(peer, dict.fromkeys(kinds, ()), msg.mission_type, None)
 
     # Download
