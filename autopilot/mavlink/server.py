@@ -120,6 +120,9 @@ _ONCE = frozenset(
 )
 """A copy of these that comes late would undo what the client has sent meanwhile (commands have an answer to repeat)."""
 
+VERSION_US = 10_000_000
+"""A client that has sent MAVLink 1 only for so long uses that."""
+
 _ZERO = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
 
 Handler = Callable[[MavlinkPeer, Message], None]
@@ -265,8 +268,8 @@ class MavlinkServer:
         self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._note_frame)
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
-        self._new: RecentKeys[Address] = RecentKeys(float("inf"))
-        """Clients that have used MAVLink 2."""
+        self._new: RecentKeys[Address] = RecentKeys(VERSION_US * patience)
+        """Clients that have used MAVLink 2 lately."""
         self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
         """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
@@ -524,8 +527,8 @@ class MavlinkServer:
                 self._ctx.send(peer, failed)
 
     def _note_version(self, address: Address, msg: Message) -> None:
-        """Answer a client in MAVLink 1 while it has sent nothing else. It gets one MAVLink 2 frame: clients that
-        support both (pymavlink) start with 1 and switch then.
+        """Answer a client in MAVLink 1 while it sends nothing else (a serial line may get another client). It gets one
+        MAVLink 2 frame: clients that support both (pymavlink) start with 1 and switch then.
         """
         ctx, (link, client) = self._ctx, address
         known = ctx.old.get(link, frozenset())
