@@ -92,6 +92,8 @@ class CommandRow:
     handler: Handler
     action: bool
     """Changes something: not to be executed twice."""
+    setting: bool = False
+    """A query that sets something for its client: a late copy of an earlier one is ignored."""
     carrier: CommandResult | None = None
     """COMMAND_INT_ONLY when COMMAND_LONG will not do."""
 
@@ -124,6 +126,11 @@ def action(handler: Handler) -> CommandRow:
 def request(handler: Handler) -> CommandRow:
     """Row of a command without side effects; a retransmission is answered again."""
     return CommandRow(handler=handler, action=False)
+
+
+def setting(handler: Handler) -> CommandRow:
+    """Row of a command with which a client arranges something for itself, whoever is in control."""
+    return CommandRow(handler=handler, action=False, setting=True)
 
 
 def refused(reason: str) -> CommandRow:
@@ -185,8 +192,10 @@ class CommandProtocol:
         if entry.carrier is not None and not call.exact:
             self._ack(peer, call.command, CommandReply(result=entry.carrier))
             return
+        copy = (entry.action or entry.setting) and self._ctx.is_copy(peer, msg)
         if not entry.action:
-            self._reply(peer, call.command, entry.handler(call))
+            if not copy:
+                self._reply(peer, call.command, entry.handler(call))
             return
         kept_out = self._keeps_out(call)
         if kept_out:
@@ -194,7 +203,6 @@ class CommandProtocol:
             return
         key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
         before = self._last.get(peer)
-        copy = self._ctx.is_copy(peer, msg)
         if before is not None and before.key == key and (copy or self._is_repeat(before, msg)):
             self._ack(peer, call.command, before.answer)
             return

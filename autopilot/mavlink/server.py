@@ -31,7 +31,7 @@ from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
-from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, request
+from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, setting
 from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Context, MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
@@ -115,6 +115,9 @@ _ONCE = frozenset(
         mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
         mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
         mav.MAVLINK_MSG_ID_LOG_ERASE,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
         extra.MAVLINK_MSG_ID_COMMAND_CANCEL,
     )
 )
@@ -244,7 +247,7 @@ class MavlinkServer:
         requests = Requests(ctx, self._streams)
         # A request for control has its own check, also while another station is the owner.
         control = {
-            REQUEST: request(self._operators.request),
+            REQUEST: setting(self._operators.request),
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
         }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
