@@ -23,6 +23,7 @@ from autopilot.core.samples import Sample
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_authority import AuthorityWatch
+from autopilot.drivers.ardusub_leak import LeakWatch
 from autopilot.drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
 from autopilot.drivers.ardusub_payload import Passing
 from autopilot.drivers.ardusub_prearm import RUN_CHECKS, SYS_STATUS_ID, PrearmWatch
@@ -119,6 +120,7 @@ class ArduSub(Closing):
         }
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()
+        self._leak = LeakWatch()
         self._watch = AuthorityWatch()
         self._prearm = PrearmWatch()
         self._payload = Passing(vehicle)
@@ -204,8 +206,7 @@ class ArduSub(Closing):
         samples: list[Sample] = []
         for message in wire.receive(t_us):
             samples += self._receive(t_us, message)
-        if self._last_received_us is not None:
-            samples += self._telemetry.leak(t_us)
+        samples += self._leak.samples(t_us, silent=self._silent(t_us))
         if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             wire.heartbeat()
@@ -268,6 +269,7 @@ class ArduSub(Closing):
         if self._silent(t_us):
             self._request_mode()
         self._last_received_us = t_us
+        self._leak.hear(t_us, message.text if kind == "STATUSTEXT" else "")
         if kind == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
                 self.settings.forget()

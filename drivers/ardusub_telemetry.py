@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import FloatArray
-from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, GpsSample, LeakSample, PowerSample, Sample
+from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, GpsSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import G_M_S2
 from autopilot.drivers.link_latency import LinkLatency
@@ -19,9 +19,6 @@ ACCEL_LAG_S = 0.005
 truth of its simulation (4.8.0-dev)."""
 CLOCK_SPAN_US = (1 << 32) * 1000
 """time_boot_ms begins anew after 50 days."""
-LEAK_HOLD_US = 45_000_000
-"""It repeats its warning every 20 s while the probe is wet."""
-LEAK_EVERY_US = 1_000_000
 AGAIN_US = 500_000
 """It sends its last pressure again when it has no new one (10 Hz, sent 20 times a second): a reading, to the last bit
 the one before, is passed on only after so long."""
@@ -60,8 +57,6 @@ class ArduSubTelemetry:
         """The last one that was passed on."""
         self._gps_us: int | None = None
         """Receiver's time of the last fix that was passed on."""
-        self._leak_us: int | None = None
-        self._leak_reported_us = -LEAK_EVERY_US
         self.supply_v: float | None = None
         self.parameters: dict[str, float] = {}
         """Its own, as far as they are known."""
@@ -84,9 +79,6 @@ class ArduSubTelemetry:
                 return self._gps(t_us, message)
             case "BATTERY_STATUS" if message.id == 0:
                 return self._power(t_us, message)
-            case "STATUSTEXT" if "leak detected" in message.text.lower():
-                self._leak_us = t_us
-                return self.leak(t_us)
             case _:
                 return []
         return []
@@ -94,14 +86,6 @@ class ArduSubTelemetry:
     def _taken_us(self, arrived_us: int, latency_s: float) -> int:
         """When a measurement was made that arrives then, over a link that may be slower than a cable."""
         return arrived_us - round(1e6 * latency_s + self.latency.beyond_us(self.clock.offset_us))
-
-    def leak(self, t_us: int) -> list[Sample]:
-        """State of the leak probe, once per second: ArduSub warns at intervals, and sends nothing while it is dry."""
-        wet = self._leak_us is not None and t_us - self._leak_us < LEAK_HOLD_US
-        if t_us - self._leak_reported_us < LEAK_EVERY_US and self._leak_us != t_us:
-            return []
-        self._leak_reported_us = t_us
-        return [LeakSample(t_us=t_us, wet=wet)]
 
     def _attitude(self, t_us: int, message: Any) -> list[Sample]:
         if self._accel is None or t_us - self._accel[0] > FRESH_IMU_US:

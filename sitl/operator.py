@@ -80,4 +80,6 @@ class ScriptedOperator:
             self._sent_us = -OPERATOR.retry_us
 
     def _pack(self, message: Any) -> bytes:
-        return bytes(message.pack(self._mav))
+        data = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) & 0xFF
+        return data

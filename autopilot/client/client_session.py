@@ -282,6 +282,7 @@ class VehicleConnection:
 
     def send(self, message: Message) -> None:
         self._link.send(bytes(message.pack(self._codec)))
+        self._codec.seq = (self._codec.seq + 1) & 0xFF  # the same again is another message, not a copy of the network's
 
     def _is_for_us(self, message: Message) -> bool:
         if message.get_type() == "BAD_DATA":

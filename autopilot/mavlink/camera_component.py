@@ -304,7 +304,7 @@ class CameraComponent:
         url = f"mftp://[;comp={COMPID}]/{LOGS}/{still.path}" if still.path else ""
         return mav.MAVLink_camera_image_captured_message(
             (still.exposure_us // 1000) & 0xFFFF_FFFF,
-            0 if offset_us is None else max(0, still.exposure_us + offset_us),
+            0 if offset_us is None else still.exposure_us + offset_us,
             0,
             lat_e7,
             lon_e7,

@@ -18,8 +18,6 @@ from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
 """Time for which a COMMAND_LONG with confirmation > 0 counts as a retransmission of the first."""
-DUPLICATE_US = 250_000
-"""The same datagram again within this time is a duplicate made by the network."""
 FIRST_PROGRESS_US = 300_000
 PROGRESS_US = 1_000_000
 """Delay after the command, and interval, of IN_PROGRESS to a waiting client."""
@@ -94,6 +92,8 @@ class CommandRow:
     handler: Handler
     action: bool
     """Changes something: not to be executed twice."""
+    setting: bool = False
+    """A query that sets something for its client: a late copy of an earlier one is ignored."""
     carrier: CommandResult | None = None
     """COMMAND_INT_ONLY when COMMAND_LONG will not do."""
 
@@ -101,7 +101,6 @@ class CommandRow:
 @dataclass(frozen=True, slots=True)
 class _Remembered:
     key: tuple[object, ...]
-    datagram: tuple[int, int]
     at_us: int
     answer: CommandReply
 
@@ -127,6 +126,11 @@ def action(handler: Handler) -> CommandRow:
 def request(handler: Handler) -> CommandRow:
     """Row of a command without side effects; a retransmission is answered again."""
     return CommandRow(handler=handler, action=False)
+
+
+def setting(handler: Handler) -> CommandRow:
+    """Row of a command with which a client arranges something for itself, whoever is in control."""
+    return CommandRow(handler=handler, action=False, setting=True)
 
 
 def refused(reason: str) -> CommandRow:
@@ -188,22 +192,25 @@ class CommandProtocol:
         if entry.carrier is not None and not call.exact:
             self._ack(peer, call.command, CommandReply(result=entry.carrier))
             return
+        copy = (entry.action or entry.setting) and self._ctx.is_copy(peer, msg)
         if not entry.action:
-            self._reply(peer, call.command, entry.handler(call))
+            if not copy:
+                self._reply(peer, call.command, entry.handler(call))
             return
         kept_out = self._keeps_out(call)
         if kept_out:
             self._reply(peer, call.command, Reply(CommandReply(result=CommandResult.NOT_IN_CONTROL, reason=kept_out)))
             return
         key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
-        datagram = (msg.get_seq(), msg.get_crc())
         before = self._last.get(peer)
-        if before is not None and before.key == key and self._is_repeat(before, msg, datagram):
+        if before is not None and before.key == key and (copy or self._is_repeat(before, msg)):
             self._ack(peer, call.command, before.answer)
+            return
+        if copy:
             return
         reply = entry.handler(call)
         self._waiting.pop((peer, call.command), None)
-        self._last[peer] = _Remembered(key, datagram, self._ctx.t_us, reply.answer)
+        self._last[peer] = _Remembered(key, self._ctx.t_us, reply.answer)
         if reply.later is not None and reply.answer.result is CommandResult.IN_PROGRESS:
             self._waiting[peer, call.command] = _Waiting(reply.later, self._ctx.t_us + FIRST_PROGRESS_US)
             return
@@ -227,10 +234,8 @@ class CommandProtocol:
         if before is not None and before.key[0] == command:
             self._last[peer] = replace(before, answer=answer)
 
-    def _is_repeat(self, before: _Remembered, msg: Message, datagram: tuple[int, int]) -> bool:
+    def _is_repeat(self, before: _Remembered, msg: Message) -> bool:
         age_us = self._ctx.t_us - before.at_us
-        if before.datagram == datagram:
-            return age_us <= DUPLICATE_US
         return getattr(msg, "confirmation", 0) > 0 and age_us <= REPEAT_US * self._ctx.patience
 
     def _reply(self, peer: MavlinkPeer, command: int, reply: Reply) -> None:

@@ -36,6 +36,8 @@ MAX_TEXT_CHARS = 600
 """Longest text that is sent (12 chunks)."""
 _CHUNK_CHARS = 50
 """STATUSTEXT.text."""
+COPY_US = 250_000
+"""The same datagram again within this time is a copy made by the network; later it is a client's repetition."""
 SAME_TEXT_US = 5_000_000
 """The same text does not go out twice on a link within this time."""
 
@@ -109,7 +111,20 @@ class Context:
     """Send origin and home on all links once the vehicle's view is fresh."""
     _recent_texts: RecentKeys[tuple[int, int, str]] = field(default_factory=lambda: RecentKeys(SAME_TEXT_US))
     """Texts of the last seconds by link and client."""
+    _datagrams: RecentKeys[tuple[MavlinkPeer, int, int]] = field(init=False)
+    """Those of the last moment that act once, by sender, sequence number and checksum."""
     _text_id: int = 0
+
+    def __post_init__(self) -> None:
+        self._datagrams = RecentKeys(COPY_US * self.patience)
+
+    def is_copy(self, peer: MavlinkPeer, msg: Message) -> bool:
+        """Whether the network has delivered this datagram before; notes it otherwise."""
+        mark = (peer, msg.get_seq(), msg.get_crc())
+        seen = self._datagrams.knows(mark, self.t_us)
+        if not seen:
+            self._datagrams.add(mark, self.t_us)
+        return seen
 
     @property
     def boot_ms(self) -> int:

@@ -342,7 +342,7 @@ class FileTransfer:
     def _open(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, file: OpenFile) -> None:
         client.close()
         client.file, client.session = file, request.session
-        self._ack(peer, client, request, (file.size & 0xFFFF_FFFF).to_bytes(4, "little"))
+        self._ack(peer, client, request, min(file.size, 0xFFFF_FFFF).to_bytes(4, "little"))
 
     def _answer_list(
         self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[LogDirectoryEntry, ...]

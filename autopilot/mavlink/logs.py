@@ -133,7 +133,7 @@ class LogDownload:
         return self._ctx.t_us // TICK_US
 
     def _list(self, client: _LogClient) -> None:
-        """For a list, or for data by a number from before a restart, of another link or from before an erasure."""
+        """For a list, or for data by a number from before a restart or of another link."""
         if self._log_directory is None:
             self._listed(client, ())
         else:
@@ -207,8 +207,6 @@ class LogDownload:
         if answer is None:
             return
         self._erasing = None
-        for client in self._clients.values():
-            client.logs = None
         if answer.error is not None:
             self._ctx.say(notices.LOGS_NOT_ERASED(error=answer.error), peer)
         else:

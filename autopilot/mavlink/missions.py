@@ -17,7 +17,6 @@ from autopilot.mavlink import home_item
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -28,14 +27,10 @@ GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
 """Consecutive items out of sequence that end an upload: the client ignores requests."""
-DUPLICATE_US = 250_000
-"""The same MISSION_COUNT datagram again within this time is a duplicate made by the network, later it is a restart."""
 DOWNLOAD_US = 10_000_000
 """Time for which a download's snapshot is kept after the client's last request."""
 REPEAT_US = 5_000_000
 """Time for which MISSION_ACK is repeated when the client sends its last item again."""
-REPEAT_PAUSE_US = 200_000
-"""But not more often than this: a duplicated datagram is not a repetition."""
 SLOW_DISK_US = 1_000_000
 """Maximum wait of a plan in force for the disk before it is acknowledged (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
@@ -85,7 +80,6 @@ class Finished:
     result: MissionResult
     plan_id: int
     at_us: int
-    answered_us: int
     guilty: int | None = None
     """The item of a refusal."""
 
@@ -104,7 +98,6 @@ class Missions:
         self._checking: Checking | None = None
         self._finished: Finished | None = None
         self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
-        self._counts: RecentKeys[tuple[MavlinkPeer, int, int]] = RecentKeys(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """Item that downloads mark as current."""
         self.revision = 0
@@ -139,11 +132,8 @@ class Missions:
             return
         if self._denied(peer, kind):
             return
-        mark = (peer, msg.get_seq(), msg.get_crc())
-        if self._is_late_duplicate(mark):
-            return
-        self._give_up_check()
-        self._upload = self._finished = None
+        self._supersede(kind)
+        self._finished = None
         most = MAX_ITEMS[kind]
         if msg.count > most + (kind is PlanKind.MISSION):
             self._ack(peer, MissionResult.NO_SPACE, kind)
@@ -155,13 +145,6 @@ class Missions:
             self._finish(self._upload)
         else:
             self._request_item(self._upload)
-
-    def _is_late_duplicate(self, mark: tuple[MavlinkPeer, int, int]) -> bool:
-        """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
-        seen = self._counts.knows(mark, self._ctx.t_us)
-        if not seen:
-            self._counts.add(mark, self._ctx.t_us)
-        return seen
 
     def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
         upload = self._upload
@@ -196,8 +179,9 @@ class Missions:
             self._ctx.say(notices.REFUSED(reason=reason), peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
-        """A repeated item is ignored; after a skipped one the missing item is requested again."""
-        if msg.mission_type == upload.kind and msg.seq < len(upload.items):
+        """A repeated item is ignored, as is one of a transfer that this one has superseded; after a skipped one the
+        missing item is requested again."""
+        if msg.mission_type != upload.kind or msg.seq < len(upload.items):
             return
         upload.wrong += 1
         if upload.wrong > MAX_WRONG_ITEMS:
@@ -218,8 +202,7 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
-        if msg.seq in (done.count - 1, done.guilty) and now_us - done.answered_us >= REPEAT_PAUSE_US:
-            done.answered_us = now_us
+        if msg.seq in (done.count - 1, done.guilty):
             if done.guilty is not None and done.guilty != msg.seq:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
@@ -247,18 +230,31 @@ class Missions:
         self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
         self.answer()
 
-    def _give_up_check(self) -> None:
-        """The client starts another transfer. The plan in force by now (not on disk yet) is reported by text: a
-        MISSION_ACK would be taken for that of the new transfer.
+    def _supersede(self, mission_type: int) -> None:
+        """The client starts another transfer, of this type: an open one of another type gets its answer, one of the
+        same type none, because it would be taken for that of the new one.
         """
+        upload, self._upload = self._upload, None
+        if upload is not None and upload.kind != mission_type:
+            self._ack(upload.peer, MissionResult.OPERATION_CANCELLED, upload.kind)
+        checking = self._checking
+        taken = self._give_up_check()
+        if checking is not None and checking.mission_type != mission_type:
+            result = MissionResult.ACCEPTED if taken else MissionResult.OPERATION_CANCELLED
+            self._ack(checking.peer, result, checking.mission_type)
+
+    def _give_up_check(self) -> bool:
+        """Cancel a pending check; whether its plan is in force by now (not on disk yet), which is reported by text."""
         checking, self._checking = self._checking, None
         if checking is None:
-            return
+            return False
         checking.change.cancel()
-        if checking.change.rejection is None:
+        taken = checking.change.rejection is None
+        if taken:
             self.revision += len(checking.kinds)
             for kind in checking.kinds:
                 self._say_taken(kind)
+        return taken
 
     def _say_taken(self, kind: PlanKind) -> None:
         items = self._ctx.plans.items(kind)
@@ -313,7 +309,7 @@ class Missions:
         now_us = self._ctx.t_us
         self._upload = None
         plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
-        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us, guilty)
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, guilty)
         self._ctx.begin_anew()
         if guilty is not None and guilty != upload.requested and 0 <= guilty < upload.count:
             self._request_item(upload, guilty)
@@ -353,8 +349,7 @@ class Missions:
         checking = self._checking
         if checking is not None and checking.upload is None and checking.mission_type == msg.mission_type:
             return  # retransmitted while the check is pending
-        self._give_up_check()
-        self._upload = None
+        self._supersede(msg.mission_type)
         self._check(peer, dict.fromkeys(kinds, ()), msg.mission_type, None)
 
     # Download

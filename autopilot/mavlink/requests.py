@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.clock import TICK_US
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
-from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied, request
+from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied, request, setting
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, available_mode
 from autopilot.mavlink.streams import Streams
@@ -29,7 +29,7 @@ class Requests:
 
         return {
             mav.MAV_CMD_REQUEST_MESSAGE: request(self.request_message),
-            mav.MAV_CMD_SET_MESSAGE_INTERVAL: request(self.set_message_interval),
+            mav.MAV_CMD_SET_MESSAGE_INTERVAL: setting(self.set_message_interval),
             mav.MAV_CMD_GET_MESSAGE_INTERVAL: request(self.get_message_interval),
             mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: fixed(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
             mav.MAV_CMD_REQUEST_PROTOCOL_VERSION: fixed(MSG_ID_PROTOCOL_VERSION),

@@ -31,7 +31,7 @@ from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
-from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, request
+from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, setting
 from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Context, MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
@@ -100,6 +100,31 @@ _HEAVY = frozenset(
         mav.MAVLINK_MSG_ID_PARAM_SET,
     )
 )
+
+_ONCE = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_MISSION_ACK,
+        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
+        mav.MAVLINK_MSG_ID_LOG_ERASE,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
+        extra.MAVLINK_MSG_ID_COMMAND_CANCEL,
+    )
+)
+"""A copy of these that comes late would undo what the client has sent meanwhile (commands have an answer to repeat)."""
+
+VERSION_US = 10_000_000
+"""A client that has sent MAVLink 1 only for so long uses that."""
 
 _ZERO = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
 
@@ -222,7 +247,7 @@ class MavlinkServer:
         requests = Requests(ctx, self._streams)
         # A request for control has its own check, also while another station is the owner.
         control = {
-            REQUEST: request(self._operators.request),
+            REQUEST: setting(self._operators.request),
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
         }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
@@ -246,8 +271,8 @@ class MavlinkServer:
         self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._note_frame)
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
-        self._new: RecentKeys[Address] = RecentKeys(float("inf"))
-        """Clients that have used MAVLink 2."""
+        self._new: RecentKeys[Address] = RecentKeys(VERSION_US * patience)
+        """Clients that have used MAVLink 2 lately."""
         self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
         """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
@@ -491,6 +516,8 @@ class MavlinkServer:
         self._announcements.greet(peer)
         if self._operators.refused(peer, msg):
             return
+        if msg.get_msgId() in _ONCE and self._ctx.is_copy(peer, msg):
+            return
         try:
             self._handlers[msg.get_msgId()](peer, msg)
         except Exception as error:  # noqa: BLE001 - a guard: counted, said and kept by it, or raised again
@@ -503,8 +530,8 @@ class MavlinkServer:
                 self._ctx.send(peer, failed)
 
     def _note_version(self, address: Address, msg: Message) -> None:
-        """Answer a client in MAVLink 1 while it has sent nothing else. It gets one MAVLink 2 frame: clients that
-        support both (pymavlink) start with 1 and switch then.
+        """Answer a client in MAVLink 1 while it sends nothing else (a serial line may get another client). It gets one
+        MAVLink 2 frame: clients that support both (pymavlink) start with 1 and switch then.
         """
         ctx, (link, client) = self._ctx, address
         known = ctx.old.get(link, frozenset())

@@ -545,15 +545,6 @@ def test_a_device_that_is_opened_anew_after_a_silence_is_not_disarmed(bench: Ben
     bench.driver.open()
 
 
-def test_water_in_the_hull_is_told(bench: Bench) -> None:
-    bench.ready()
-    bench.below.wet = True
-    bench.samples.clear()
-    bench.run(1.5)
-    assert [sample.wet for sample in bench.samples if isinstance(sample, LeakSample)][-1]
-    assert any("Leak" in text for _, text in bench.driver.take_notices())
-
-
 def test_junk_on_the_line_is_counted(bench: Bench) -> None:
     bench.ready()
     rng = np.random.default_rng(1)

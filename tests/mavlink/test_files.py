@@ -189,6 +189,19 @@ def listed(ftp: Ftp, path: str) -> list[bytes]:
         entries += data.rstrip(b"\0").split(b"\0")
 
 
+@pytest.mark.parametrize("beyond", [-1, 0, 1, 500])
+def test_of_a_log_beyond_32_bits_as_much_is_offered_as_they_reach(folder: Path, beyond: int) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 500)
+    size = 2**32 + beyond
+    with (folder / "2026-11-22/10_00_00.mcap").open("r+b") as file:
+        file.truncate(size)
+    client = world_with(folder).client()
+    opcode, told = Ftp(client).ask(Op.OPEN_READ, data=b"@MAV_LOG/2026-11-22/10_00_00.mcap")
+    assert (opcode, int.from_bytes(told, "little")) == (Op.ACK, min(size, 2**32 - 1))
+    (entry,) = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
+    assert entry.size == min(size, 2**32 - 1)
+
+
 def test_folders_list_themselves(folder: Path) -> None:
     for n in range(40):
         a_log(folder, f"2026-11-22/10_00_{n:02}.mcap", n + 1)

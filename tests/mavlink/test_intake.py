@@ -278,13 +278,13 @@ def test_a_client_that_comes_back_on_another_port_is_not_locked_out(world: World
 def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(world: World, told: str) -> None:
     """Neither the texts that it is told nor the marks of what it sends pile up, and a tick costs what it did."""
     client = world.client(number=QUIET)
-    context, missions = world.server._ctx, world.server.missions
+    context = world.server._ctx
     for n in range(3 * MAX_RECENT):
         client.send(mav.MAVLink_mission_count_message(1, 1, 10_000 + n if told == "a text each" else 1 + n % 200, 0))
         if n % 16 == 15:
             world.run(TICK_US * 1e-6)
-        assert len(context._recent_texts) <= MAX_RECENT and len(missions._counts) <= MAX_RECENT
-    assert len(context._recent_texts if told == "a text each" else missions._counts) > 100
+        assert len(context._recent_texts) <= MAX_RECENT and len(context._datagrams) <= MAX_RECENT
+    assert len(context._recent_texts if told == "a text each" else context._datagrams) > 100
 
 
 def test_what_was_said_lately_is_known_and_what_was_said_before_is_not() -> None:

@@ -272,11 +272,6 @@ def test_a_client_that_never_listens_is_given_up(world: World, client: Client) -
 def test_the_last_item_again_gets_the_answer_again(world: World, client: Client) -> None:
     items = plan(3)
     assert upload(client, items) == R.ACCEPTED
-    client.rx.clear()
-    client.send(items[2])
-    world.run(0.1)
-    assert not client.got("MISSION_ACK"), "a duplicate made by the network is no repetition"
-    world.run(0.4)
     (ack,) = client.ask(items[2], "MISSION_ACK", 0.1)
     assert ack.type == R.ACCEPTED
     assert len(world.plans.replaced) == 1
@@ -342,12 +337,41 @@ def test_the_same_client_starting_anew_replaces_its_own_upload(world: World, cli
     assert back is not None and same_items(items, back)
 
 
-def test_another_plan_type_of_the_same_client_replaces_its_upload(world: World, client: Client) -> None:
-    client.send(count(3))
+@pytest.mark.parametrize("arrived", range(3))
+@pytest.mark.parametrize("second", [0, 1, 2, "clear 0", "clear 1", "clear 2", "clear 255"])
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_each_transfer_of_a_client_that_begins_another_gets_its_answer(
+    world: World, client: Client, first: int, second: int | str, arrived: int
+) -> None:
+    client.send(count(3, first))
     world.run(0.02)
-    fence = plan(2, 1)
-    assert upload(client, fence, 1) == R.ACCEPTED
-    assert world.plans.items(PlanKind.MISSION) == () and len(world.plans.items(PlanKind.FENCE)) == 2
+    for n in range(arrived):
+        client.send(waypoint(n, first, x=111))
+        world.run(0.02)
+    items = plan(3, first)
+    if isinstance(second, str):
+        kind = int(second.split()[1])
+        client.send(mav.MAVLink_mission_clear_all_message(1, 1, kind))
+    else:
+        kind = second
+        client.send(count(2, kind))
+    world.run(0.02)
+    for _ in range(25):  # the rest of the first, sent without listening
+        if kind != first:
+            client.send(waypoint(2, first))
+            world.run(0.01)
+    for item in plan(2, kind) if isinstance(second, int) else ():
+        client.send(item)
+        world.run(0.02)
+    world.run(0.1)
+    acks = [(ack.mission_type, ack.type) for ack in client.got("MISSION_ACK")]
+    superseded = [] if kind == first else [(first, R.OPERATION_CANCELLED)]
+    late = [] if isinstance(second, int) or kind == first else [(first, R.ERROR)]  # nobody asks for them any more
+    assert sorted(set(acks)) == sorted({*superseded, *late, (kind, R.ACCEPTED)})
+    assert all(acks.count(ack) == 1 for ack in [*superseded, (kind, R.ACCEPTED)])
+    stored = {k: len(world.plans.items(k)) for k in PlanKind}
+    assert stored == {k: 2 if k == second else 0 for k in PlanKind}
+    assert upload(client, items, first) == R.ACCEPTED
 
 
 # Two clients

@@ -506,6 +506,27 @@ def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others() -> None:
     assert sent[5] and all(data[0] == 0xFD for data in sent[5])
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_client_that_changes_its_version_is_answered_in_the_one_that_it_uses(seed: int) -> None:
+    from pymavlink.dialects.v10 import common as v10
+
+    rng, world = random.Random(seed), World()
+    codecs = (v10.MAVLink(None, srcSystem=255, srcComponent=190), mav.MAVLink(None, srcSystem=255, srcComponent=190))
+    for new in (rng.random() < 0.5 for _ in range(6)):
+        codec = codecs[new]
+        for beat in range(rng.randint(12, 20)):
+            data = bytes(codec.heartbeat_encode(6, 8, 0, 0, 0).pack(codec))
+            frames: list[bytes] = []
+            for _ in range(100):
+                world.t_us += 10_000
+                rx = [MavlinkFrame(link=0, client=5, data=data)] if data else []
+                sent = world.server.step(world.t_us, rx, world.view)
+                frames += [frame.data for frame in sent if frame.client in (0, 5) and 5 not in frame.beside]
+                data = b""
+            if beat > 0 if new else beat > 11:
+                assert {frame[0] for frame in frames} == {0xFD if new else 0xFE}
+
+
 # Operator control
 
 

@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 from mavlink_harness import NAN, ORIGIN, Client, World, base_view, mav, nav_state
 
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent
+from autopilot.core.clock import TICK_US
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, Severity, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.dialect import extra
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mavlink.status import version_number
 
@@ -404,6 +406,30 @@ def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World, c
     (answer,) = client.ask(mav.MAVLink_timesync_message(0, 123_456), "TIMESYNC", 0.01)
     assert (answer.tc1, answer.ts1) == (world.t_us * 1000, 123_456)
     assert not client.ask(mav.MAVLink_timesync_message(5, 123_456), "TIMESYNC", 0.1)
+
+
+@pytest.mark.parametrize("system", [0, 1, 2, 255])
+@pytest.mark.parametrize("component", [0, 1, 191, 250])
+def test_a_request_for_time_is_answered_by_whom_it_asks_and_to_who_asked(
+    world: World, client: Client, system: int, component: int
+) -> None:
+    request = extra.MAVLink_timesync_message(0, 2**62, system, component)
+    answers = client.ask(request, "TIMESYNC", 0.01)
+    assert bool(answers) is (system in (0, 1) and component in (0, 1))
+    assert all((a.ts1, a.target_system, a.target_component) == (2**62, 255, 190) for a in answers)
+
+
+def test_an_answer_of_the_very_first_moment_is_no_request(world: World, client: Client) -> None:
+    world.t_us = -TICK_US
+    (answer,) = (m for m in client.ask(mav.MAVLink_timesync_message(0, 77), "TIMESYNC", 0.01) if m.ts1 == 77)
+    assert answer.tc1 > 0
+
+
+@pytest.mark.parametrize("unix_us", [0, 1, 10**15, 5 * 10**15, 2**63, 2**64 - 1])
+def test_a_time_of_day_that_cannot_be_is_not_learnt(world: World, client: Client, unix_us: int) -> None:
+    client.send(mav.MAVLink_system_time_message(unix_us, 5))
+    world.run(0.5)
+    assert world.server.utility.utc_offset_us is None
 
 
 def test_the_time_of_day_is_learnt(world: World, client: Client) -> None:

@@ -25,7 +25,6 @@ class MissionWorld(PilotedWorld):
     def upload(self, items: Sequence[PlanItem], kind: int = 0) -> Any:
         """COUNT, items as they are asked for; the final MISSION_ACK."""
         self.inbox.clear()
-        self._mav.seq = (self._mav.seq + 1) % 256
         rx = [self.pack(mav.MAVLink_mission_count_message(1, 1, len(items), kind))]
         for _ in range(100 + 3 * len(items)):
             self.tick(rx)

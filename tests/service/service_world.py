@@ -95,7 +95,9 @@ class ServiceWorld:
 
     def pack(self, message: Any) -> bytes:
         """A message of this client."""
-        return bytes(message.pack(self._mav))
+        data = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return data
 
     def ask(self, message: Any, seconds: float = 0.03) -> list[Any]:
         """Send; what came back."""
