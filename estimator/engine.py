@@ -201,7 +201,8 @@ class AidedEstimator(Estimator):
         return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        return tuple(text for monitor in self._monitors.all for text in monitor.take_texts())
+        texts = (text for monitor in self._monitors.all for text in monitor.take_texts())
+        return (*self._attitude.take_texts(), *texts)
 
     @property
     def refined_map(self) -> MarkerMap | None:
@@ -263,7 +264,7 @@ class AidedEstimator(Estimator):
             self._monitors.imu.forgive()
         self._ahrs_us = now_us
         if own and self._options.watch_tilt:
-            self._attitude.watch(sample)
+            sample = self._attitude.watch(sample)
         sample = self._mount.at_center(sample)
         self._feel(level(sample, self._trim.at(sample)))
 

@@ -139,6 +139,12 @@ ESTIMATE_NOT_FINITE = _error(
 )
 ESTIMATE_FINITE = _info("Estimate is finite again")
 ESTIMATOR_REMARK = _warning("{text}", "From an estimator of your own.")
+AHRS_ATTITUDE_FROZEN = _warning(
+    "AHRS attitude frozen: its gyros are used, check it",
+    "Its heading stays the same to the last digit while its own gyro turns.",
+    "Surface and restart the AHRS.",
+)
+AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_OFF = _warning(
     "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
@@ -433,7 +439,7 @@ DEVICE_RECONNECTED = _notice("{name}: reconnected")
 DEVICE_DOWN = _warning("{name}: down: {problem}")
 DEVICE_SILENT = _warning("{name}: silent: check power and settings", "Open, but no data arrive.")
 DEVICE_HEARD = _notice("{name}: working again")
-CLOCK_JUMPED = _warning("{what}{used}: check power, time sync", "A sensor's time stamps jumped.")
+CLOCK_JUMPED = _warning("{what}{used}: check power, time sync", "A sensor's time stamps jumped or stand still.")
 
 ROWS: dict[str, Row] = {name: row for name, row in tuple(globals().items()) if isinstance(row, Row)}
 """Identifier -> row, in the order of this file."""
