@@ -190,6 +190,12 @@ GYRO_WRONG = _warning(
 )
 FIXES_DISAGREE = _warning("Markers disagree with dead reckoning: check map", "", "Check the camera's calibration too.")
 RANGE_DISAGREES = _warning("Laser and marker height disagree: calibrate camera", "", "Check the laser's mounting too.")
+VELOCITY_LOG_DISAGREES = _warning(
+    "Velocity log disagrees with fixes: check mounting",
+    "Twelve in a row rejected while fixes were used; without fixes it is not used.",
+    "Check its angle, lock and time stamps.",
+)
+VELOCITY_LOG_AGREES = _info("Velocity log agrees with fixes again")
 DEPTH_DISAGREES = _warning(
     "Depth sensor disagrees with fixes: check its zero",
     "Off by more than 0.2 m, noisier than it states, or under waves.",
