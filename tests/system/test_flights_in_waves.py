@@ -57,7 +57,7 @@ def test_waves_hide_no_dead_thruster(tmp_path: Path) -> None:
 
 def test_short_waves_are_rarely_taken_for_weak_thrusters_and_end_no_flight() -> None:
     """Seas drawn by machine, of periods in which the controller's answer lags just so far that a weak thruster would
-    explain it: seven of these twelve flights blamed one, two of them a dead one."""
+    explain it: six of these twelve flights blamed one, four of them as dead."""
     blamed = []
     for seed in range(40, 52):
         rng = random.Random(seed)
