@@ -142,6 +142,9 @@ class Aid:
 class ScalarAid(Aid, ABC, Generic[S_contra]):
     """An aiding sensor other than a pose source."""
 
+    contradicted = False
+    """Whether fixes that were used have denied it: it is not used without them."""
+
     @abstractmethod
     def measured(self, sample: S_contra) -> Measurement | None:
         """The measurement of a sample; None = there is none in it, or none that can be used."""
@@ -159,6 +162,9 @@ class ScalarAid(Aid, ABC, Generic[S_contra]):
 
     def used(self, measurement: Any) -> None:
         """A measurement has met its gate."""
+
+    def denied(self, measurement: Any) -> None:
+        """A measurement has not, while fixes were used."""
 
 
 class InertialAid(ScalarAid[Inertial]):

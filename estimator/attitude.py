@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
 from autopilot.estimator.gyro_bias import WINDOW_S, GyroBias
@@ -65,6 +66,12 @@ WATCH_TUNING = AttitudeTuning(window_s=0.5)
 APART_RAD = math.radians(5.0)
 APART_US = 1_000_000
 """An AHRS whose tilt is so far from the filter's for so long disagrees with its own gyros and accelerometers."""
+TURNING_RAD_S = 0.05
+"""A gyro that shows less may show its bias only."""
+FROZEN_RAD = 0.05
+"""An AHRS whose heading stays the same to the last digit while its own gyro turns by so much gives no attitude."""
+THAWED_SAMPLES = 50
+"""Headings that have changed in a row, after which it gives one again."""
 
 
 class AttitudeFilter:
@@ -194,6 +201,22 @@ class AttitudeSource:
         self.field_disturbances = 0
         """How often the magnetometer of a device without an attitude of its own was rejected."""
         self.disagrees = False
+        self._heading_rad = math.nan
+        """The AHRS's, as it was when it changed last."""
+        self._turned_rad = 0.0
+        """By which the gyro has turned since."""
+        self._seen_us = 0
+        self._off_rad = (0.0, 0.0)
+        """Roll and pitch of the filter minus the living AHRS's: no step when one replaces the other."""
+        self._thawed = 0
+        self._frozen: tuple[float, float] | None = None
+        """Headings of AHRS and filter when the AHRS's attitude froze, None while it lives."""
+        self._texts: list[str] = []
+
+    def take_texts(self) -> tuple[str, ...]:
+        """Messages to the operator since the last call."""
+        texts, self._texts = tuple(self._texts), []
+        return texts
 
     def attitude(self, sample: ImuSample) -> AhrsSample:
         """The sample with an attitude. A bad one has NaN, a repeated one a repeated attitude, so that the validation
@@ -218,24 +241,54 @@ class AttitudeSource:
             accel_frd_m_s2=sample.accel_frd_m_s2,
         )
 
-    def watch(self, sample: AhrsSample) -> None:
-        """Compare the tilt of a valid AHRS sample with that from its gyros and accelerometers."""
-        if sample.t_us < self._watched_us + WATCH_EVERY_US:
-            return
+    def watch(self, sample: AhrsSample) -> AhrsSample:
+        """Compare the attitude of a valid AHRS sample with that from its gyros and accelerometers. The sample; with an
+        attitude of the filter while its own is frozen.
+        """
+        frozen = self._watch_heading(sample)
+        if frozen is None and sample.t_us < self._watched_us + WATCH_EVERY_US:
+            return sample
         self._watched_us = sample.t_us
         own = self._watch.step(
             ImuSample(t_us=sample.t_us, rate_frd_rad_s=sample.rate_frd_rad_s, accel_frd_m_s2=sample.accel_frd_m_s2)
         )
+        if frozen is not None:
+            ahrs_rad, filter_rad = frozen
+            (roll, pitch, yaw), (more_roll, more_pitch) = own.tolist(), self._off_rad
+            turned = wrap_pi(ahrs_rad + yaw - filter_rad)
+            return replace(sample, rpy_rad=np.array([roll - more_roll, pitch - more_pitch, turned]))
         roll, pitch, _ = (own - sample.rpy_rad).tolist()
+        if self._thawed:
+            self._off_rad = (roll, pitch)
         apart = max(abs(wrap_pi(roll)), abs(pitch)) > APART_RAD
         if not apart:
             self._apart_since_us, self.disagrees = None, False
-            return
+            return sample
         if self._apart_since_us is None:
             self._apart_since_us = sample.t_us
         if not self.disagrees and sample.t_us - self._apart_since_us >= APART_US:
             self.disagrees = True
             self.disagreements += 1
+        return sample
+
+    def _watch_heading(self, sample: AhrsSample) -> tuple[float, float] | None:
+        """Headings of AHRS and filter when the AHRS's attitude froze, None while it lives."""
+        yaw = sample.rpy_rad.item(2)
+        if yaw != self._heading_rad:
+            self._heading_rad, self._turned_rad, self._seen_us = yaw, 0.0, sample.t_us
+            self._thawed += 1
+            if self._frozen is not None and self._thawed >= THAWED_SAMPLES:
+                self._frozen = None
+                self._texts.append(notices.AHRS_ATTITUDE_BACK().text)
+            return self._frozen
+        rate, dt_s = sample.rate_frd_rad_s.item(2), 1e-6 * (sample.t_us - self._seen_us)
+        self._thawed, self._seen_us = 0, sample.t_us
+        if self._frozen is None and abs(rate) > TURNING_RAD_S and dt_s < MAX_GAP_S:
+            self._turned_rad += rate * dt_s
+            if abs(self._turned_rad) > FROZEN_RAD:
+                self._frozen = yaw + self._turned_rad, self._watch.rpy_rad.item(2)
+                self._texts.append(notices.AHRS_ATTITUDE_FROZEN().text)
+        return self._frozen
 
 
 def usable(rate_frd_rad_s: FloatArray, accel_frd_m_s2: FloatArray) -> bool:

@@ -177,8 +177,12 @@ class AidedEstimator(Estimator):
         since_us = self._monitors.imu.since_us
         if since_us is None:
             return True
-        held_us = self._anchored_since_us
-        return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.suspect_us
+        return self._long_anchored(t_us) and t_us - since_us >= ENGINE.suspect_us
+
+    def _long_anchored(self, t_us: int) -> bool:
+        """Whether fixes or velocities over ground have been used without a break for a while."""
+        since_us = self._anchored_since_us
+        return since_us is not None and t_us - since_us >= ENGINE.anchored_us
 
     def take_aids(self) -> tuple[AidStatus, ...]:
         return self._fusion.take_statuses()
@@ -203,7 +207,8 @@ class AidedEstimator(Estimator):
         return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        return tuple(text for monitor in self._monitors.all for text in monitor.take_texts())
+        texts = (text for monitor in self._monitors.all for text in monitor.take_texts())
+        return (*self._attitude.take_texts(), *self._sources.velocity.take_texts(), *texts)
 
     @property
     def refined_map(self) -> MarkerMap | None:
@@ -265,7 +270,7 @@ class AidedEstimator(Estimator):
             self._monitors.imu.forgive()
         self._ahrs_us = now_us
         if own and self._options.watch_tilt:
-            self._attitude.watch(sample)
+            sample = self._attitude.watch(sample)
         sample = self._mount.at_center(sample)
         self._feel(level(sample, self._trim.at(sample)))
 
@@ -435,7 +440,10 @@ class AidedEstimator(Estimator):
                     return
             if kind in sources.scalar_of:
                 aid = sources.scalar_of[kind]
-                trusted = sources.markers.trust.trusted or not aid.of_pictures
+                trusted = sources.markers.trust.trusted
+                if aid.contradicted and trusted and not self._long_anchored(sample.t_us):
+                    continue
+                trusted |= not aid.of_pictures
                 scalar = aid.measured(sample) if trusted and aid.wanted(sample, node) else None
                 if scalar is not None:
                     self._fusion.fuse_scalar(node, scalar, aid, fixed=not sources.in_gap(scalar.t_us))

@@ -63,6 +63,8 @@ class Fusion:
         if judged.passes:
             aid.used(measurement)
             return
+        if fixed:
+            aid.denied(measurement)
         miss = aid.agreed_miss(judged)
         part = None if miss is None else aid.reopened(measurement, fixed=fixed)
         if miss is None or part is None:

@@ -18,7 +18,12 @@ FUTURE_TOLERANCE_US = 2_000
 """A sample may be this far ahead of the clock (rounding of the driver's time stamps)."""
 
 STUCK_SAMPLES = 20
-"""So many identical samples in a row (0.2 s) mean that the AHRS hangs: real gyros are never that quiet."""
+"""So many samples in a row (0.2 s) that do not move mean that the AHRS hangs: real gyros are never that quiet."""
+STILL_RAD, STILL_RAD_S, STILL_M_S2 = 1e-6, 1.5e-4, 1e-3
+"""A value that stays this near does not move: the last bit of a MEMS sensor, a quarter of its noise; the attitude is
+computed and has more digits."""
+MOST_MOVING = 2
+"""Of the nine values of one that hangs: the bits of a loose contact."""
 
 MAX_RATE_RAD_S = 20.0
 MAX_ACCEL_M_S2 = 80.0
@@ -225,7 +230,8 @@ class ImuValidator:
 
     def __init__(self) -> None:
         self.counts = dict.fromkeys(SampleVerdict, 0)
-        self._last: list[float] = []
+        self._held: tuple[list[float], list[float], list[float]] | None = None
+        """Attitude, rates and forces that the samples since have stayed near."""
         self._repeats = 0
 
     def let_in(self, sample: AhrsSample, now_us: int, newest_us: int) -> bool:
@@ -251,7 +257,24 @@ class ImuValidator:
             return SampleVerdict.FUTURE
         if sample.t_us <= newest_us:
             return SampleVerdict.OLD
-        values = tilt + speeds + forces
-        self._repeats = self._repeats + 1 if values == self._last else 0
-        self._last = values
+        if self._held is None or self._moved(self._held, tilt, speeds, forces):
+            self._held, self._repeats = (tilt, speeds, forces), 0
+            return SampleVerdict.GOOD
+        self._repeats += 1
         return SampleVerdict.STUCK if self._repeats >= STUCK_SAMPLES else SampleVerdict.GOOD
+
+    @staticmethod
+    def _moved(
+        held: tuple[list[float], list[float], list[float]], tilt: list[float], speeds: list[float], forces: list[float]
+    ) -> bool:
+        """Whether more values have moved than of a device that hangs; the forces of a live one nearly always do."""
+        moving = _moving(held[2], forces, STILL_M_S2)
+        if moving <= MOST_MOVING:
+            moving += _moving(held[1], speeds, STILL_RAD_S) + _moving(held[0], tilt, STILL_RAD)
+        return moving > MOST_MOVING
+
+
+def _moving(a: Sequence[float], b: Sequence[float], still: float) -> int:
+    """How many of three values differ by more than ``still``."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return (abs(bx - ax) > still) + (abs(by - ay) > still) + (abs(bz - az) > still)

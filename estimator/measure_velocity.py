@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample, possible_velocity
 from autopilot.core.vehicle import DvlMount, Vehicle
-from autopilot.estimator.aiding import ScalarAid
+from autopilot.estimator.aiding import REJECT_COUNT, START_COUNT, ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
 from autopilot.estimator.log_drift import LogDrift
 from autopilot.estimator.measurement import Measurement, Moment
@@ -122,6 +123,12 @@ class VelocityAid(ScalarAid[VelocitySample]):
         self.drift = LogDrift(vehicle.dvl)
         self.ground_us: int | None = None
         """Time of validity of the newest velocity over ground that has been used, None before the first."""
+        self._texts: list[str] = []
+
+    def take_texts(self) -> tuple[str, ...]:
+        """Messages to the operator since the last call."""
+        texts, self._texts = tuple(self._texts), []
+        return texts
 
     def measured(self, sample: VelocitySample) -> BodyVelocity | None:
         return self.counted(velocity_from_sample(sample, self._dvl))
@@ -136,6 +143,16 @@ class VelocityAid(ScalarAid[VelocitySample]):
         return None if fixed else self.own
 
     def used(self, measurement: BodyVelocity) -> None:
+        if self.contradicted and self._fused_in_row >= START_COUNT:
+            self.contradicted = False
+            self._texts.append(notices.VELOCITY_LOG_AGREES().text)
         over_ground = measurement.lock is VelocityLock.BOTTOM
         if over_ground:
             self.ground_us = max(measurement.t_us, -1 if self.ground_us is None else self.ground_us)
+
+    def denied(self, measurement: BodyVelocity) -> None:
+        """See :class:`ScalarAid`: that of the water is not known by fixes."""
+        over_ground = measurement.lock is VelocityLock.BOTTOM
+        if over_ground and not self.contradicted and self.rejected_in_row >= REJECT_COUNT:
+            self.contradicted = True
+            self._texts.append(notices.VELOCITY_LOG_DISAGREES().text)

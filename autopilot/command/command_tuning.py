@@ -40,6 +40,11 @@ class VehicleStatusTuning:
     """Hold time of a wet probe: splashing water makes and breaks the contact."""
     frozen_readings: int = 20
     """Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
+    frozen_v: float = 0.02
+    frozen_a: float = 0.05
+    """A power monitor whose readings stay within these,"""
+    frozen_thrust_n: float = 8.0
+    """while the sum of commanded thrusts changes by so much (1 A and more), is frozen."""
     late_every_us: int = 1_000_000
     """Averaging time of the share of late ticks."""
     jump_s: float = 0.5

@@ -42,6 +42,8 @@ class _SensorRecord:
     equal: int = 0
     how: str = QUIET
     """Its fault while it has no new data."""
+    pushed_n: tuple[float, float] = (0.0, 0.0)
+    """Least and most thrust that was commanded since ``reading`` changed."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -175,7 +177,24 @@ class VehicleStatus:
             else:
                 self.note_implausible(t_us, "velocity log")
         elif isinstance(sample, PowerSample):
-            self._spoke(t_us, "power monitor")
+            self._note_power(t_us, sample)
+
+    def _note_power(self, t_us: int, sample: PowerSample) -> None:
+        """A monitor at rest repeats itself; one that measures a current does not while the thrust changes."""
+        record = self.sensors.setdefault("power monitor", _SensorRecord(t_us))
+        held = record.reading
+        same = (
+            isinstance(held, PowerSample)
+            and sample.current_a != 0.0
+            and abs(sample.voltage_v - held.voltage_v) <= VEHICLE_STATUS.frozen_v
+            and abs(sample.current_a - held.current_a) <= VEHICLE_STATUS.frozen_a
+        )
+        pushed_n = 0.0 if self.thrust_n is None else float(abs(self.thrust_n).sum())
+        low_n, high_n = record.pushed_n if same else (pushed_n, pushed_n)
+        record.pushed_n = low_n, high_n = min(low_n, pushed_n), max(high_n, pushed_n)
+        record.reading, record.equal = (held, record.equal + 1) if same else (sample, 0)
+        if record.equal < VEHICLE_STATUS.frozen_readings or high_n - low_n < VEHICLE_STATUS.frozen_thrust_n:
+            record.last_us, record.how = t_us, QUIET
 
     def _note_hull(self, t_us: int, sample: HullSample) -> None:
         """Each of its values counts alone; one that is not finite is a fault of the sensor."""

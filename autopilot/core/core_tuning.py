@@ -47,6 +47,9 @@ class DeviceClockTuning:
     often: int = 3
     often_us: int = 5_000_000
     """Number of jumps within a time after which arrivals are used as stamps, until there has been none for as long."""
+    still_count: int = 10
+    still_us: int = 100_000
+    """So many equal stamps in a row over so long are those of a clock that stands still: links repeat single ones."""
     tell_every_us: int = 5_000_000
     any_span_us: int = 1 << 63
     """Of a clock that does not wrap."""

@@ -10,7 +10,8 @@ set anew once the difference is steady. Only what latency and losses together ca
 - forward: the clock skips a time that is no multiple of the usual step, or many steps on a line that loses nothing; or
   samples arrive so early that those before must have had a latency that no line has.
 
-A clock that jumps repeatedly is not used: samples then have their time of arrival.
+A clock that jumps repeatedly is not used: samples then have their time of arrival. Those of a clock that stands still
+have it too, until it goes on.
 """
 
 from collections import deque
@@ -47,18 +48,25 @@ class DeviceClock(NoticeQueue):
         self._steps = _Steps()
         self._run: _Run | None = None
         self._jumped_us: deque[int] = deque(maxlen=CLOCK.often)
-        self._by_arrival = False
+        self._by_arrival = self._stands = False
+        self._moved_us = self._still = 0
+        """Arrival of the last stamp that differed from the one before, and the number of equal ones since."""
 
     def stamp(self, arrival_us: int, device_us: int) -> int | None:
         """The service's time at which the device read ``device_us``, plus the mean latency [us]; later with every call.
 
         None for a sample that cannot be stamped: a stamp of before, or a clock that has just jumped."""
+        if self._stands and device_us != self._raw_us:
+            self.begin()
         step_us = self._step(device_us)
-        self._device_us += step_us
-        stamped = self._stamped(arrival_us, step_us)
-        self._arrival_us = arrival_us
-        self._front_us = max(self._front_us, self._device_us)
-        self._tell(arrival_us)
+        if self._stopped(arrival_us, step_us):
+            stamped: int | None = arrival_us
+        else:
+            self._device_us += step_us
+            stamped = self._stamped(arrival_us, step_us)
+            self._arrival_us = arrival_us
+            self._front_us = max(self._front_us, self._device_us)
+            self._tell(arrival_us)
         if stamped is None or stamped <= self._emitted_us:
             return None
         self._emitted_us = stamped
@@ -68,6 +76,19 @@ class DeviceClock(NoticeQueue):
     def offset_us(self) -> float:
         """The service's time minus the device's, mean latency included, modulo the range of its counter."""
         return self._offset_us
+
+    def _stopped(self, arrival_us: int, step_us: int) -> bool:
+        """Whether the clock stands still while samples arrive."""
+        if step_us:
+            self._moved_us, self._still = arrival_us, 0
+            return False
+        self._still += 1
+        if self._still < CLOCK.still_count or arrival_us - self._moved_us < CLOCK.still_us:
+            return False
+        if not self._stands:
+            self._stands = True
+            self._notices.append(notices.CLOCK_JUMPED(what="clock stopped", used=""))
+        return True
 
     def _step(self, device_us: int) -> int:
         """Step from the last stamp to this one [us], modulo the counter's range."""

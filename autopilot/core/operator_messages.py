@@ -139,6 +139,12 @@ ESTIMATE_NOT_FINITE = _error(
 )
 ESTIMATE_FINITE = _info("Estimate is finite again")
 ESTIMATOR_REMARK = _warning("{text}", "From an estimator of your own.")
+AHRS_ATTITUDE_FROZEN = _warning(
+    "AHRS attitude frozen: its gyros are used, check it",
+    "Its heading stays the same to the last digit while its own gyro turns.",
+    "Surface and restart the AHRS.",
+)
+AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_OFF = _warning(
     "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
@@ -184,6 +190,12 @@ GYRO_WRONG = _warning(
 )
 FIXES_DISAGREE = _warning("Markers disagree with dead reckoning: check map", "", "Check the camera's calibration too.")
 RANGE_DISAGREES = _warning("Laser and marker height disagree: calibrate camera", "", "Check the laser's mounting too.")
+VELOCITY_LOG_DISAGREES = _warning(
+    "Velocity log disagrees with fixes: check mounting",
+    "Twelve in a row rejected while fixes were used; without fixes it is not used.",
+    "Check its angle, lock and time stamps.",
+)
+VELOCITY_LOG_AGREES = _info("Velocity log agrees with fixes again")
 DEPTH_DISAGREES = _warning(
     "Depth sensor disagrees with fixes: check its zero",
     "Off by more than 0.2 m, noisier than it states, or under waves.",
@@ -433,7 +445,7 @@ DEVICE_RECONNECTED = _notice("{name}: reconnected")
 DEVICE_DOWN = _warning("{name}: down: {problem}")
 DEVICE_SILENT = _warning("{name}: silent: check power and settings", "Open, but no data arrive.")
 DEVICE_HEARD = _notice("{name}: working again")
-CLOCK_JUMPED = _warning("{what}{used}: check power, time sync", "A sensor's time stamps jumped.")
+CLOCK_JUMPED = _warning("{what}{used}: check power, time sync", "A sensor's time stamps jumped or stand still.")
 
 ROWS: dict[str, Row] = {name: row for name, row in tuple(globals().items()) if isinstance(row, Row)}
 """Identifier -> row, in the order of this file."""

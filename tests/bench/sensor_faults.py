@@ -8,15 +8,16 @@ go on being called good.
 import math
 import tempfile
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import AidStatus, Failsafe, NavHealth, Outputs, Severity
+from autopilot.core.samples import Sample
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
@@ -171,7 +172,11 @@ PLAIN_WAY = {"MPC_COST": 0.0}
 """The estimate is what is judged: all flights go the same way, whatever the water is believed to be."""
 
 
-def fly_fault(flight: FaultFlight) -> FaultResult:
+Change: TypeAlias = Callable[[int, Sequence[Sample]], Sequence[Sample]]
+"""Samples of a tick as a sensor sends them that is broken, from those of a sound one."""
+
+
+def fly_fault(flight: FaultFlight, change: Change | None = None) -> FaultResult:
     """Fly it through the real service in lockstep, without sockets or a log."""
     tables = flight_tables(flight)
     with tempfile.TemporaryDirectory() as folder:
@@ -183,6 +188,11 @@ def fly_fault(flight: FaultFlight) -> FaultResult:
         session = open_sitl(settings, PLAIN_WAY, log=False, on_tick=lambda outputs: watches[0].tick(outputs))
         until_s = math.inf if flight.lasts_s is None else flight.at_s + flight.lasts_s
         watches.append(_Watch(session, flight.at_s, until_s))
+        if change is not None:
+            step = session.service.step
+            session.runtime.wrap_step(
+                lambda inputs: step(replace(inputs, samples=tuple(change(inputs.t_us, inputs.samples))))
+            )
         session.run()
     return watches[0].result()
 

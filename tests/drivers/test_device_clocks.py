@@ -319,8 +319,23 @@ def test_a_reopened_device_may_show_any_time() -> None:
     assert source.clock.jumps == 0
 
 
-def test_a_clock_that_stands_still_is_no_time() -> None:
-    clock = DeviceClock()
-    stamps = [clock.stamp(10_000 * n, 10_000 * min(n, 200)) for n in range(300)]
-    assert None not in stamps[:200]
-    assert stamps[202:] == [None] * 98
+@pytest.mark.parametrize("name", SOURCES)
+@given(at_s=st.floats(2.0, 4.0), lasts_s=st.floats(0.5, 3.0), goes_on=st.booleans())
+@settings(max_examples=6, deadline=None)
+def test_arrivals_are_the_stamps_while_a_clock_stands_still(
+    name: str, at_s: float, lasts_s: float, goes_on: bool
+) -> None:
+    """Then it shows the time, or goes on where it stood. It silenced a device whose data were good."""
+    source = SOURCES[name]()
+    first, last = (CLOCK.settled + round(1e6 * s / source.period_us) for s in (at_s, at_s + lasts_s))
+    first_us, last_us = first * source.period_us, last * source.period_us
+    run = Run(source)
+    for taken_us in range(0, last_us + 2_000_000, source.period_us):
+        behind_us = max(0, min(taken_us, last_us) - first_us) if taken_us < last_us or goes_on else 0
+        for sample in source.say(taken_us + 1_000, taken_us, 10_000_000 + taken_us - behind_us):
+            run.stamps.append((sample.t_us, taken_us, taken_us))
+    cost_us = max(CLOCK.still_us, CLOCK.still_count * source.period_us)
+    assert max(run.silences_us()) <= (cost_us if source.stamped_by_clock else 0) + 2 * source.period_us
+    assert all(abs(stamp_us - taken_us) <= NEAR_US for stamp_us, taken_us, _ in run.stamps)
+    told = [text for _, text in source.clock.take_notices()]
+    assert told == ["clock stopped: check power, time sync"] * (last_us - first_us > cost_us + source.period_us)

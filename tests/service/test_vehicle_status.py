@@ -8,7 +8,7 @@ import pytest
 from autopilot.command.collision import CollisionDetector
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.messages import Inputs
-from autopilot.core.samples import AhrsSample, DepthSample, HullSample
+from autopilot.core.samples import AhrsSample, DepthSample, HullSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.outside import HandsBack, WeightRelease
 
@@ -48,6 +48,38 @@ def test_a_frozen_depth_is_a_silent_sensor() -> None:
         status.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
     age_s, name = status.silent(5_900_000)
     assert name == "depth sensor" and age_s == pytest.approx(2.0, abs=0.15)
+
+
+def power_age_s(status: VehicleStatus, amperes: np.ndarray, thrust_n: np.ndarray, period_us: int) -> float:
+    """How long the monitor has been silent after these readings and commands of one thruster."""
+    for number, (ampere, newton) in enumerate(zip(amperes.tolist(), thrust_n.tolist(), strict=True)):
+        status.thrust_n, t_us = np.array([newton]), number * period_us
+        sample = PowerSample(t_us=t_us, voltage_v=16.0, current_a=ampere, energy_used_j=t_us * 1e-4, remaining=0.9)
+        status.note_sample(t_us, sample)
+    return status.silent((len(amperes) - 1) * period_us)[0]
+
+
+@pytest.mark.parametrize("flicker_a", [0.0, 0.01, 0.04])
+@pytest.mark.parametrize("period_us", [100_000, 500_000])
+def test_a_power_monitor_that_repeats_itself_while_the_thrust_changes_is_frozen(
+    period_us: int, flicker_a: float
+) -> None:
+    """Nothing was told, and the battery ran down at the charge of before."""
+    thrust_n = 6.0 + 5.0 * np.sin(np.arange(120) / 7.0)
+    live_a = 0.6 + 0.07 * thrust_n**1.5
+    frozen_a = np.where(np.arange(120) < 60, live_a, live_a[60] + flicker_a * (np.arange(120) % 2))
+    assert power_age_s(VehicleStatus(), frozen_a, thrust_n, period_us) > 3.0
+    assert power_age_s(VehicleStatus(), live_a, thrust_n, period_us) == 0.0
+    steady_n = np.full(120, 6.0)
+    assert power_age_s(VehicleStatus(), np.full(120, 1.6), steady_n, period_us) == 0.0, "at rest it repeats itself"
+    assert power_age_s(VehicleStatus(), np.zeros(120), thrust_n, period_us) == 0.0, "it measures no current"
+
+
+def test_a_power_monitor_that_has_rested_is_not_frozen_when_the_thrust_begins() -> None:
+    thrust_n = np.where(np.arange(100) < 95, 0.0, 12.0)
+    amperes = np.where(np.arange(100) < 97, 0.6, 3.5)
+    assert power_age_s(VehicleStatus(), amperes, thrust_n, 500_000) == 0.0
+    assert power_age_s(VehicleStatus(), amperes[:97], thrust_n[:97], 500_000) <= 1.0
 
 
 def test_half_a_hull_sensor_is_a_fault_and_its_other_half_counts() -> None:

@@ -1,11 +1,13 @@
 """A pool with waves: they are no broken accelerometer, late line or weak thruster, and hide no dead one."""
 
+import random
 from pathlib import Path
 
 import pytest
 
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
+from tests.bench.sensor_faults import FaultFlight, fly_fault
 
 WAVES = """
 [waves]
@@ -51,3 +53,19 @@ def test_waves_hide_no_dead_thruster(tmp_path: Path) -> None:
     texts = _texts(tmp_path, "lbv150", WAVES.format(height_m=0.07, period_s=5.0) + LOSS)
     named = {" ".join(text.split()[:2]) for text in texts if text.startswith("Thruster")}
     assert named == {"Thruster lateral"}, texts
+
+
+def test_short_waves_are_rarely_taken_for_weak_thrusters_and_end_no_flight() -> None:
+    """Seas drawn by machine, of periods in which the controller's answer lags just so far that a weak thruster would
+    explain it: six of these twelve flights blamed one, four of them as dead."""
+    blamed = []
+    for seed in range(40, 52):
+        rng = random.Random(seed)
+        sea = {"period_s": rng.uniform(1.8, 2.6), "height_m": rng.choice((0.05, 0.1, 0.15, 0.2))}
+        waves = {**sea, "direction_rad": rng.uniform(-3.0, 3.0)}
+        scenario = rng.choice(("paper-tank", "harbour", "open-water", "pool"))
+        flight = FaultFlight(at_s=15.0, seed=seed, scenario=scenario, duration_s=60.0, changes={"waves": waves})
+        texts = fly_fault(flight).texts
+        blamed += [seed] if any(text.startswith("Thruster") for text in texts) else []
+        assert not [text for text in texts if text.startswith("Failsafe") and "thruster" in text]
+    assert len(blamed) <= 3, blamed

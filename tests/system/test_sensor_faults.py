@@ -1,9 +1,12 @@
 """Sensors that are wrong and do not say so, through the whole service: the estimate stays honest and nothing is hit."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from autopilot.core.samples import PowerSample, Sample
 from tests.bench.fault_campaign import FAULTS
 from tests.bench.sensor_faults import FaultFlight, fly_fault
 
@@ -74,3 +77,22 @@ def test_moved_markers_are_told_and_a_wrong_lens_shows_in_sigma() -> None:
     lens = fly_fault(flight("lens 0.9", 0.0, 70))
     assert lens.inside >= 0.95 and lens.unflagged_s <= 1.0, lens
     assert any(text.startswith("Laser and pose height") for text in lens.texts)
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.01])
+@pytest.mark.parametrize("seed", [71, 72])
+def test_a_frozen_power_monitor_is_told_in_flight(seed: int, flicker: float) -> None:
+    held: list[PowerSample] = []
+
+    def change(t_us: int, samples: Sequence[Sample]) -> Sequence[Sample]:
+        powers = [sample for sample in samples if isinstance(sample, PowerSample)]
+        if t_us < 10_000_000 or not powers:
+            held[:] = powers or held
+            return samples
+        again = replace(held[0], t_us=t_us, voltage_v=held[0].voltage_v + flicker * (t_us // 500_000 % 2))
+        return [again if isinstance(sample, PowerSample) else sample for sample in samples]
+
+    frozen = fly_fault(FaultFlight(at_s=10.0, duration_s=30.0, seed=seed), change)
+    assert "Failsafe: power monitor silent or frozen" in frozen.texts
+    sound = fly_fault(FaultFlight(at_s=10.0, duration_s=30.0, seed=seed))
+    assert not [text for text in sound.texts if "power monitor" in text]
