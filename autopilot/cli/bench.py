@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STUDIES = "tests.bench.studies"
 
 KNOWN_STUDIES = (
-    *("alarms", "detection", "energy", "energy-latency", "energy-legs", "energy-rivals", "faults", "fuzz", "kills"),
+    *("alarms", "detection", "energy", "energy-latency", "energy-legs", "energy-rivals", "fuzz", "kills"),
     *("modes", "picture-faults", "pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns"),
     "vehicles",
 )

@@ -13,7 +13,6 @@ _Result = TypeVar("_Result")
 
 TITLES = {
     "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
-    "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
     "picture-faults": "Pictures that are not of here and now; kept: no contact, outside 3 sigma called good for at most"
