@@ -21,7 +21,7 @@ STUDIES = "tests.bench.studies"
 
 KNOWN_STUDIES = (
     *("alarms", "detection", "energy", "energy-latency", "energy-legs", "energy-rivals", "fuzz", "kills"),
-    *("modes", "picture-faults", "pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns"),
+    *("picture-faults", "pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns"),
     "vehicles",
 )
 """Studies of a source checkout."""

@@ -38,11 +38,9 @@ TITLES = {
     "energy-legs": "Energy plans of random legs, seconds of CPU and by the clock; slow = more than 1 s of CPU",
     "energy-rivals": "Legs at shipped defaults in the service on the simulated vehicle: J of its thrusters beside the"
     " optimum with the same drag and thrust; s = until the acceptance ball is entered",
-    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
+    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown);"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
     "turns": "CPU time of two revisions in turns: medians, and the ratios of this one to the other",
-    "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
-    " kept; cpu_ms = of the whole process per control step",
     "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
 }
 

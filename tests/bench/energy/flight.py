@@ -33,7 +33,6 @@ from tests.bench.energy.cases import (
     Case,
     EnergyGoal,
 )
-from tests.bench.energy.los_pid import LosGains, LosPid
 
 STEP_US = 50_000
 LIMIT_S = 400.0
@@ -60,8 +59,6 @@ ENERGY_PARAMS = {
     "MPC_W_MOMENT": 0.0,
 }
 """As in the scenario b1: least energy; nothing is unmodelled but roll and pitch."""
-
-QUADRATIC_PARAMS = {**ENERGY_PARAMS, "MPC_COST": 0.0}
 
 Pilot: TypeAlias = Callable[[int, NavState, Goal, Fence], FloatArray]
 """(time [us], state, goal, fence) -> thrust (4,) [N]."""
@@ -131,16 +128,6 @@ def nmpc_pilot(
 
     def pilot(t_us: int, nav: NavState, goal: Goal, fence: Fence) -> FloatArray:
         return controller.step(t_us, nav, goal, fence, given).thrust_n
-
-    return pilot
-
-
-def los_pilot(vehicle: Vehicle, gains: LosGains) -> Pilot:
-    """Line of sight with PID loops."""
-    follower = LosPid(vehicle.to_model(), vehicle.radius_m, gains, STEP_US * 1e-6)
-
-    def pilot(t_us: int, nav: NavState, goal: Goal, fence: Fence) -> FloatArray:
-        return follower.thrust(nav, goal, fence, 12.0)
 
     return pilot
 
