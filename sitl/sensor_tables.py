@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from autopilot.core.flat_port import FlatPort
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
-from autopilot.core.vehicle import Port
 
 OptionalName = Literal["depth", "dvl", "altimeter", "gps"]
 """Sensors that a scenario may have or not."""
@@ -233,7 +233,7 @@ class ImageModel(Table, frozen=True, kw_only=True):
     """True mounting of the camera against the vehicle file's: roll, pitch, yaw about the body's axes."""
     position_error_m: Vec3 = (0.0, 0.0, 0.0)
     """True place of the camera minus the vehicle file's, body frame."""
-    port: Port | None = None
+    port: FlatPort | None = None
     """``[camera.port]``: the true camera stands behind this flat pane; None = as the vehicle file says."""
     turbidity_1_m: NonNegative = 0.3
     """Contrast decays as exp(-turbidity * distance)."""
