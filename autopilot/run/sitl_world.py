@@ -35,14 +35,14 @@ from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.world import CurrentSource, KnownEnvironment, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.current_fields import current_field
+from autopilot.sitl.current_fields import GridCurrent, current_field
 from autopilot.sitl.floor import given_floor_m, given_markers
 from autopilot.sitl.hil import Wire, wires
 from autopilot.sitl.machine_faults import MachineFaults
 from autopilot.sitl.operator import ScriptedOperator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario, plan_path, with_vehicle
-from autopilot.sitl.scenario_tables import GridCurrent, Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""

@@ -18,9 +18,8 @@ from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.contact import Cylinder
-from autopilot.sitl.current_fields import CurrentField, current_field
+from autopilot.sitl.current_fields import Bickley, Current, CurrentField, Gyre, TankJet, Uniform, Vortex, current_field
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.thruster_models import wrench_of
@@ -95,12 +94,12 @@ class EnergyFlight:
 def plant_field(case: Case) -> CurrentField:
     """The flow of a case by the simulator's own equations."""
     north, east = case.flow(0.0, 0.0, math)
-    tables: dict[str, sc.Current] = {
-        "jet": sc.JetCurrent(),
-        "bickley": sc.BickleyCurrent(speed_m_s=0.30, width_m=3.0, center_y_m=10.0),
-        "taylor-green": sc.GyreCurrent(speed_m_s=0.3, cell_m=20.0),
-        "vortex": sc.VortexCurrent(circulation_m2_s=6.0, core_m=2.0),
-        "uniform": sc.UniformCurrent(velocity_m_s=(north, east, 0.0)),
+    tables: dict[str, Current] = {
+        "jet": TankJet(),
+        "bickley": Bickley(speed_m_s=0.30, width_m=3.0, center_y_m=10.0),
+        "taylor-green": Gyre(speed_m_s=0.3, cell_m=20.0),
+        "vortex": Vortex(circulation_m2_s=6.0, core_m=2.0),
+        "uniform": Uniform(velocity_m_s=(north, east, 0.0)),
     }
     return current_field(tables[case.flow_name])
 
