@@ -64,8 +64,6 @@ class Flown:
     """Most evidence against a thruster that was sound [nats]."""
     found: tuple[float, ...] = (1.0,) * THRUSTERS
     """At the end."""
-    used_n: tuple[float, ...] = ()
-    """Standard deviation of each thrust since the loss [N]."""
 
 
 def drawn_vehicle(rng: np.random.Generator, vehicle: Vehicle, spread: float = 0.3) -> tuple[Vehicle, dict[str, float]]:
@@ -240,7 +238,7 @@ def fly(
         model, Response.of(assumed.thrusters), submerged_m=LOSSES.submerged * assumed.hull_half_height_m
     )
     pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(assumed.thrusters)
-    acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
+    acting, pulse_n, flown = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown()
     tug_s = float(rng.uniform(8.0, 30.0))
     for tick in range(round(seconds * 1e6 / STEP_US)):
         t_us = tick * STEP_US
@@ -258,11 +256,8 @@ def fly(
         thrust = pilot.thrust(t_s, nav) if t_s >= HAND_S else np.zeros(THRUSTERS)
         pulses = allocation.pulses_us(thrust, truth.voltage_v, share)
         pulse_n = allocation.thrusts_n(pulses, truth.voltage_v)
-        if loss is None or t_s >= loss.at_s:
-            used.append(pulse_n)
         plant.advance(t_us + STEP_US, pulses)
     flown.found = tuple(health.found.tolist())
-    flown.used_n = tuple(np.std(used, axis=0).tolist()) if used else (0.0,) * THRUSTERS
     return flown
 
 

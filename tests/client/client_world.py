@@ -133,7 +133,6 @@ class MemoryLink:
         self.t_us = 0
         self.cut = False
         """True = nothing gets through in either direction."""
-        self.client_sent = 0
         self._up, self._down = LossyLink(conditions, seed), LossyLink(conditions, seed + 1000)
         self._arrived: deque[bytes] = deque()
         self.server = MavlinkServer(
@@ -154,7 +153,6 @@ class MemoryLink:
 
     def send(self, data: bytes) -> None:
         """From the client."""
-        self.client_sent += 1
         self._post(self._up, data)
 
     def receive(self, timeout_s: float) -> bytes:

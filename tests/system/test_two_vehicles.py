@@ -52,20 +52,14 @@ def vehicle(folder: Path, instance: int, water: Water) -> SitlSession:
     return open_sitl(flight_settings(folder, given), {}, instance=instance, log=False, peers=(water,))
 
 
-def least_distance_m(folder: Path, *, hear: bool = True, seconds: float = 60.0) -> tuple[float, list[str]]:
+def least_distance_m(folder: Path) -> tuple[float, list[str]]:
     """How near the centres of two vehicles that cross come to each other, and what each said at its end."""
     waters = (Water(), Water())
-    if hear:
-        waters[0].other, waters[1].other = waters[1], waters[0]
-    else:
-        waters[0].other, waters[1].other = Water(), Water()
-    sessions = [
-        vehicle(folder / "a", 0, waters[0]),
-        vehicle(folder / "b", 1, waters[1]),
-    ]
+    waters[0].other, waters[1].other = waters[1], waters[0]
+    sessions = [vehicle(folder / name, number, waters[number]) for number, name in enumerate("ab")]
     least_m, said = np.inf, [list[str](), list[str]()]
     try:
-        for tick in range(1, round(seconds * 100)):
+        for tick in range(1, 6000):
             for number, session in enumerate(sessions):
                 outputs = session.runtime.tick(10_000 * tick)
                 said[number] += [event.text for event in outputs.events if event.severity <= Severity.INFO]

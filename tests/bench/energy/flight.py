@@ -34,6 +34,7 @@ from tests.bench.energy.cases import (
 )
 
 STEP_US = 50_000
+CRUISE_M_S = 0.35
 LIMIT_S = 400.0
 """A leg that takes longer is missed."""
 
@@ -137,7 +138,6 @@ def fly(
     name: str,
     vehicle: Vehicle,
     *,
-    cruise_m_s: float = 0.35,
     laps: int = 0,
     corridor: bool = True,
     clock_us: int = 0,
@@ -151,7 +151,7 @@ def fly(
     power = PowerModel.of(vehicle)
     columns = np.array(wrench_of(vehicle)).T
     fence = (TANK if corridor else TANK_CLOSED) if case.tank else OPEN_WATER
-    goals = [_goal(goal, case, index, cruise_m_s) for index, goal in _sequence(case, laps or case.laps)]
+    goals = [_goal(goal, case, index) for index, goal in _sequence(case, laps or case.laps)]
     t_us, index, begin_us, spent, top = 0, 0, 0, 0.0, 0.0
     leg_j: list[float] = []
     leg_s: list[float] = []
@@ -231,18 +231,18 @@ def _sequence(case: Case, laps: int) -> list[tuple[int, EnergyGoal]]:
     return [(index, goal) for _ in range(laps) for index, goal in enumerate(case.goals)]
 
 
-def _goal(goal: EnergyGoal, case: Case, index: int, cruise_m_s: float) -> Goal:
+def _goal(goal: EnergyGoal, case: Case, index: int) -> Goal:
     if len(case.goals) == 1:
-        return _plain(goal, cruise_m_s)
-    after = [_plain(case.goals[(index + k) % len(case.goals)], cruise_m_s) for k in (1, 2)]
-    return _plain(goal, cruise_m_s, replace(after[0], following=after[1]))
+        return _plain(goal)
+    after = [_plain(case.goals[(index + k) % len(case.goals)]) for k in (1, 2)]
+    return _plain(goal, replace(after[0], following=after[1]))
 
 
-def _plain(goal: EnergyGoal, cruise_m_s: float, following: Goal | None = None) -> Goal:
+def _plain(goal: EnergyGoal, following: Goal | None = None) -> Goal:
     return Goal(
         pos_ned_m=np.array(goal.pos_ned_m),
         yaw_rad=goal.yaw_rad,
-        speed_m_s=cruise_m_s,
+        speed_m_s=CRUISE_M_S,
         accept_radius_m=REGION_M,
         accept_yaw_rad=REGION_YAW_RAD,
         seq=0,
