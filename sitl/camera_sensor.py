@@ -243,7 +243,7 @@ def true_camera(model: CameraModel, imaging: ImageModel, laser: LaserSensor) -> 
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
     (cx, cy), (dx, dy) = model.center_px, imaging.principal_error_px
     lens = replace(camera_of(model, imaging.focal_factor), center_px=(cx + dx, cy + dy))
-    camera = lens if imaging.port is None else lens.behind(imaging.port.to_port())
+    camera = lens if imaging.port is None else lens.behind(imaging.port)
     return _moved(camera, imaging.position_error_m, imaging.mounting_error_rad, laser_frd_m, beam_frd)
 
 

@@ -1,20 +1,19 @@
 """Current fields in the local NED frame: analytic ones, all divergence-free, and gridded ones.
 
-Every field gives its velocity, its gradient and its local time derivative, because a hull that moves through a
-non-uniform field experiences the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields do not depend on
-depth; vertical velocity is zero except in the uniform field and in a grid that has one.
+The analytic ones are the tables of ``[current]`` themselves. Every field gives its velocity, its gradient and its local
+time derivative, because a hull that moves through a non-uniform field experiences the acceleration of the water
+(:mod:`.sitl.rigid_body`). Analytic fields do not depend on depth; vertical velocity is zero except in the uniform field
+and in a grid that has one.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Annotated, Protocol, TypeAlias
 
 import msgspec
 
-from autopilot.core.toml_table import Vec2, Vec3
-from autopilot.sitl import scenario_tables as sc
-from autopilot.sitl.grid_current import GridField, read_grid
+from autopilot.core.toml_table import Positive, Table, Vec2, Vec3
 from autopilot.sitl.sitl_tuning import CURRENTS
 
 Gradient: TypeAlias = tuple[float, float, float, float]
@@ -40,13 +39,13 @@ class CurrentField(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Uniform:
+class Uniform(Table, frozen=True, kw_only=True, tag_field="kind", tag="uniform"):
     """Velocity + tide * sin(2 pi t / period), the same everywhere."""
 
-    velocity_m_s: Vec3 = CURRENTS.zero
+    velocity_m_s: Vec3
     tide_m_s: Vec3 = CURRENTS.zero
-    tide_period_s: float = 44712.0
+    tide_period_s: Positive = 44712.0
+    """Default: the M2 tide, 12.42 h."""
 
     @property
     def steady_uniform(self) -> bool:
@@ -89,8 +88,7 @@ class WithFlow:
         return self.field.rate(pos_ned_m, t_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Steady:
+class _Steady(Table, frozen=True, kw_only=True):
     """A planar field that does not change with time."""
 
     @property
@@ -101,8 +99,7 @@ class _Steady:
         return CURRENTS.zero
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TankJet(_Steady):
+class TankJet(_Steady, frozen=True, kw_only=True, tag_field="kind", tag="jet"):
     """Jet along +x in the middle of a rectangular tank with return flow along the walls y = +-width / 2.
 
     Streamfunction psi = -(U / k) sin(k (y + W/2)) h(xi), k = 2 pi / W, xi = x / L + 1/2, h = 6.75 xi (1 - xi)^2; so
@@ -112,8 +109,11 @@ class TankJet(_Steady):
 
     speed_m_s: float = 0.25
     center_m: Vec2 = (0.0, 0.0)
-    length_m: float = 5.0
-    width_m: float = 3.0
+    length_m: Positive = 5.0
+    width_m: Positive = 3.0
+    direction_rad: float = 0.0
+    """The whole field turned about its centre, clockwise seen from above, by :class:`Turned`; then it does not follow
+    the walls."""
 
     def _local(self, pos_ned_m: Sequence[float]) -> tuple[float, float, float]:
         """xi in [0, 1], sine and cosine of the phase across the tank."""
@@ -180,13 +180,12 @@ class Turned:
         return self._turn(self.field.rate(self._back(pos_ned_m), t_s))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Vortex(_Steady):
+class Vortex(_Steady, frozen=True, kw_only=True, tag_field="kind", tag="vortex"):
     """Lamb-Oseen vortex: v_theta = G / (2 pi r) (1 - exp(-r^2 / core^2)), positive from north to east."""
 
-    circulation_m2_s: float
-    core_m: float
     center_m: Vec2 = (0.0, 0.0)
+    circulation_m2_s: float
+    core_m: Annotated[float, msgspec.Meta(ge=0.001)]
 
     def _profile(self, r2: float) -> tuple[float, float]:
         """Angular velocity [1/s] at radius^2 and its derivative by radius^2 [1/(s m^2)]."""
@@ -210,12 +209,11 @@ class Vortex(_Steady):
         return (-cross, -omega - 2.0 * slope * dy * dy, omega + 2.0 * slope * dx * dx, cross)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shear(_Steady):
+class Shear(_Steady, frozen=True, kw_only=True, tag_field="kind", tag="shear"):
     """u = speed + shear * (y - center_y)."""
 
-    shear_1_s: float
     speed_m_s: float = 0.0
+    shear_1_s: float
     center_y_m: float = 0.0
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
@@ -225,12 +223,11 @@ class Shear(_Steady):
         return (0.0, self.shear_1_s, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bickley(_Steady):
+class Bickley(_Steady, frozen=True, kw_only=True, tag_field="kind", tag="bickley"):
     """u = speed * sech^2((y - center_y) / width)."""
 
     speed_m_s: float
-    width_m: float
+    width_m: Positive
     center_y_m: float = 0.0
 
     def _tanh(self, pos_ned_m: Sequence[float]) -> float:
@@ -245,12 +242,11 @@ class Bickley(_Steady):
         return (0.0, -2.0 * self.speed_m_s * th * (1.0 - th * th) / self.width_m, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gyre(_Steady):
+class Gyre(_Steady, frozen=True, kw_only=True, tag_field="kind", tag="gyre"):
     """Taylor-Green: u = U sin(pi x / L) cos(pi y / L), v = -U cos(pi x / L) sin(pi y / L)."""
 
     speed_m_s: float
-    cell_m: float
+    cell_m: Positive
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
         a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
@@ -264,26 +260,31 @@ class Gyre(_Steady):
         return (even, -odd, odd, -even)
 
 
-_FIELDS: dict[type[sc.Current], Callable[..., CurrentField]] = {
-    sc.NoCurrentTable: Uniform,
-    sc.UniformCurrent: Uniform,
-    sc.VortexCurrent: Vortex,
-    sc.ShearCurrent: Shear,
-    sc.BickleyCurrent: Bickley,
-    sc.GyreCurrent: Gyre,
-}
-"""Fields that have the keys of their tables."""
+class NoCurrentTable(Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
+    """Still water."""
 
 
-def current_field(table: sc.Current) -> CurrentField:
+class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
+    """Gridded, linear between the nodes in space and time (:mod:`autopilot.sitl.grid_current`)."""
+
+    file: str
+    """``.npz`` or NetCDF-3, relative to the scenario file."""
+
+
+Current: TypeAlias = NoCurrentTable | Uniform | TankJet | Vortex | Shear | Bickley | Gyre | GridCurrent
+"""``[current]``"""
+STILL = Uniform(velocity_m_s=CURRENTS.zero)
+
+
+def current_field(table: Current) -> CurrentField:
     """The field that a scenario's ``[current]`` describes."""
-    keys = msgspec.structs.asdict(table)
-    if isinstance(table, sc.GridCurrent):
-        return GridField(read_grid(table.file))
-    if isinstance(table, sc.JetCurrent):
-        angle = keys.pop("direction_rad")
-        jet = TankJet(**keys)
-        if angle == 0.0:
-            return jet
-        return Turned(field=jet, center_m=table.center_m, cosine=math.cos(angle), sine=math.sin(angle))
-    return _FIELDS[type(table)](**keys)
+    match table:
+        case NoCurrentTable():
+            return STILL
+        case GridCurrent():
+            from autopilot.sitl.grid_current import GridField, read_grid  # numpy
+
+            return GridField(read_grid(table.file))
+        case TankJet(direction_rad=angle, center_m=center) if angle != 0.0:
+            return Turned(field=table, center_m=center, cosine=math.cos(angle), sine=math.sin(angle))
+    return table

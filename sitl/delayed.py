@@ -2,31 +2,16 @@
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.scenario_tables import Fault
-from autopilot.sitl.sensor_tables import Outages
+from autopilot.sitl.sensor_tables import SampledSensor
 
 T = TypeVar("T")
-
-
-class LossyTable(Protocol):
-    """Sampling parameters in a sensor's table of the scenario."""
-
-    @property
-    def rate_hz(self) -> float | None: ...
-    @property
-    def latency_s(self) -> float | None: ...
-    @property
-    def latency_jitter_s(self) -> float: ...
-    @property
-    def drop_probability(self) -> float: ...
-    @property
-    def outages(self) -> Outages: ...
 
 
 class DelayedSensor(AlwaysOpen, Generic[T]):
@@ -76,7 +61,7 @@ class LossySensor(DelayedSensor[T]):
 
     def __init__(
         self,
-        table: LossyTable,
+        table: SampledSensor,
         usual: tuple[float, float],
         faults: Iterable[Fault],
         seed: tuple[int, int],

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
+from autopilot.sitl.current_fields import Current, NoCurrentTable
 from autopilot.sitl.fault_tables import (
     HullFault,
     MachineFault,
@@ -123,82 +124,6 @@ class MovingObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="mo
 
 
 Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | PrismObstacle | MovingObstacle
-
-
-class NoCurrentTable(Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
-    """Still water."""
-
-
-class UniformCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="uniform"):
-    """The same everywhere; optionally with a tide: velocity + tide * sin(2 pi t / period)."""
-
-    velocity_m_s: Vec3
-    tide_m_s: Vec3 = (0.0, 0.0, 0.0)
-    tide_period_s: Positive = 44712.0
-    """Default: the M2 tide, 12.42 h."""
-
-
-class JetCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="jet"):
-    """Jet along +x in the middle of a rectangular tank, return flow along its walls."""
-
-    speed_m_s: float = 0.25
-    center_m: Vec2 = (0.0, 0.0)
-    length_m: Positive = 5.0
-    width_m: Positive = 3.0
-    direction_rad: float = 0.0
-    """The whole field turned about its centre, clockwise seen from above; then it does not follow the walls."""
-
-
-class VortexCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="vortex"):
-    """Lamb-Oseen vortex."""
-
-    center_m: Vec2 = (0.0, 0.0)
-    circulation_m2_s: float
-    """Positive turns clockwise seen from above (north to east)."""
-    core_m: Annotated[float, msgspec.Meta(ge=0.001)]
-
-
-class ShearCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="shear"):
-    """Linear shear: along x, growing with y."""
-
-    speed_m_s: float = 0.0
-    """On the line y = center_y_m."""
-    shear_1_s: float
-    center_y_m: float = 0.0
-
-
-class BickleyCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="bickley"):
-    """Bickley jet along x: speed * sech^2((y - center_y) / width)."""
-
-    speed_m_s: float
-    width_m: Positive
-    center_y_m: float = 0.0
-
-
-class GyreCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="gyre"):
-    """Taylor-Green gyres of size cell_m."""
-
-    speed_m_s: float
-    cell_m: Positive
-
-
-class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
-    """Gridded, linear between the nodes in space and time (:mod:`autopilot.sitl.grid_current`)."""
-
-    file: str
-    """``.npz`` or NetCDF-3, relative to the scenario file."""
-
-
-Current: TypeAlias = (
-    NoCurrentTable
-    | UniformCurrent
-    | JetCurrent
-    | VortexCurrent
-    | ShearCurrent
-    | BickleyCurrent
-    | GyreCurrent
-    | GridCurrent
-)
 
 
 class Waves(Table, frozen=True, kw_only=True):

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from autopilot.core.flat_port import FlatPort
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
-from autopilot.core.vehicle import Port
 
 OptionalName = Literal["depth", "dvl", "altimeter", "gps"]
 """Sensors that a scenario may have or not."""
@@ -66,29 +66,31 @@ class Outages(Table, frozen=True, kw_only=True):
             raise ValueError(f"`max_s` = {self.max_s:g} is below `min_s` = {self.min_s:g}")
 
 
-class CameraSensor(Table, frozen=True, kw_only=True):
-    """``[sensors.camera]``: when pictures come. How they look is ``[camera]``."""
+class SampledSensor(Table, frozen=True, kw_only=True):
+    """When a sensor samples, and which samples are lost."""
 
     rate_hz: Positive | None = None
-    """None = as the vehicle file."""
+    """None = as the vehicle file (of ``[sensors.pose]``: the camera's)."""
     latency_s: NonNegative | None = None
-    """None = as the vehicle file."""
+    """As ``rate_hz``."""
     latency_jitter_s: NonNegative = 0.01
-    stamp_error_s: float = 0.0
-    """Pictures are stamped so much later than they were exposed: latency that the vehicle file does not know of."""
-    drop_probability: Probability = 0.01
-    """Per frame."""
+    """Standard deviation."""
+    drop_probability: Probability = 0.0
+    """Per sample."""
     outages: Outages = Outages()
 
 
-class PoseSensor(Table, frozen=True, kw_only=True):
+class CameraSensor(SampledSensor, frozen=True, kw_only=True):
+    """``[sensors.camera]``: when pictures come. How they look is ``[camera]``."""
+
+    stamp_error_s: float = 0.0
+    """Pictures are stamped so much later than they were exposed: latency that the vehicle file does not know of."""
+    drop_probability: Probability = 0.01
+
+
+class PoseSensor(SampledSensor, frozen=True, kw_only=True):
     """``[sensors.pose]``: stands for camera and marker processing in fast studies."""
 
-    rate_hz: Positive | None = None
-    """None = the camera's."""
-    latency_s: NonNegative | None = None
-    """None = the camera's."""
-    latency_jitter_s: NonNegative = 0.01
     sigma_xy_m: NonNegative = 0.0015
     """At 1 m above the floor; grows with the height. Measured on rendered pictures: 0.3 to 1.5 mm, z 0.7 mm."""
     sigma_z_m: NonNegative = 0.0007
@@ -98,7 +100,6 @@ class PoseSensor(Table, frozen=True, kw_only=True):
     outlier_m: NonNegative = 0.5
     """Size of a wrong fix."""
     drop_probability: Probability = 0.01
-    outages: Outages = Outages()
 
 
 class LaserSensor(Table, frozen=True, kw_only=True):
@@ -128,13 +129,9 @@ class ObstacleSensor(Table, frozen=True, kw_only=True):
     latency_s: NonNegative = 0.1
 
 
-class DepthSensor(Table, frozen=True, kw_only=True):
+class DepthSensor(SampledSensor, frozen=True, kw_only=True):
     """``[sensors.depth]``: a pressure sensor; without the table there is none."""
 
-    rate_hz: Positive | None = None
-    """None = as the vehicle file."""
-    latency_s: NonNegative | None = None
-    """None = as the vehicle file."""
     latency_jitter_s: NonNegative = 0.005
     sigma_m: NonNegative = 0.003
     """White noise: a 30 bar sensor at full oversampling resolves 2 mm."""
@@ -144,20 +141,13 @@ class DepthSensor(Table, frozen=True, kw_only=True):
     """Random walk of the offset."""
     outlier_probability: Probability = 0.0
     outlier_m: NonNegative = 0.5
-    drop_probability: Probability = 0.0
-    outages: Outages = Outages()
 
 
-class DvlSensor(Table, frozen=True, kw_only=True):
+class DvlSensor(SampledSensor, frozen=True, kw_only=True):
     """``[sensors.dvl]``: a Doppler velocity log; without the table there is none."""
 
     lock: Literal["bottom", "water"] = "bottom"
     """What it measures against."""
-    rate_hz: Positive | None = None
-    """None = as the vehicle file."""
-    latency_s: NonNegative | None = None
-    """None = as the vehicle file."""
-    latency_jitter_s: NonNegative = 0.01
     sigma_m_s: NonNegative = 0.005
     """White noise, each axis."""
     bias_m_s: NonNegative = 0.001
@@ -172,16 +162,11 @@ class DvlSensor(Table, frozen=True, kw_only=True):
     least_altitude_m: NonNegative = 0.05
     """Closer to the floor there is no bottom lock."""
     most_altitude_m: Positive = 50.0
-    outages: Outages = Outages()
 
 
-class AltimeterSensor(Table, frozen=True, kw_only=True):
+class AltimeterSensor(SampledSensor, frozen=True, kw_only=True):
     """``[sensors.altimeter]``: a sonar that looks down; without the table there is none. Defaults: a Ping Sonar."""
 
-    rate_hz: Positive | None = None
-    """None = as the vehicle file."""
-    latency_s: NonNegative | None = None
-    """None = as the vehicle file."""
     latency_jitter_s: NonNegative = 0.005
     sigma_m: NonNegative = 0.01
     """White noise close by,"""
@@ -195,17 +180,12 @@ class AltimeterSensor(Table, frozen=True, kw_only=True):
     least_range_m: NonNegative = 0.3
     """Closer nothing is heard: it still rings."""
     most_range_m: Positive = 100.0
-    outages: Outages = Outages()
 
 
-class GpsSensor(Table, frozen=True, kw_only=True):
+class GpsSensor(SampledSensor, frozen=True, kw_only=True):
     """``[sensors.gps]``: a satellite receiver, for the surface; without the table there is none. Defaults: a single
     frequency receiver without corrections, all assumed."""
 
-    rate_hz: Positive | None = None
-    """None = as the vehicle file."""
-    latency_s: NonNegative | None = None
-    """None = as the vehicle file."""
     latency_jitter_s: NonNegative = 0.02
     sigma_m: NonNegative = 1.5
     """Standard deviation of the slow (Gauss-Markov) error, each axis."""
@@ -215,7 +195,6 @@ class GpsSensor(Table, frozen=True, kw_only=True):
     acquire_s: NonNegative = 3.0
     """From surfacing to the first fix."""
     drop_probability: Probability = 0.02
-    outages: Outages = Outages()
 
 
 class HullSensor(Table, frozen=True, kw_only=True):
@@ -254,7 +233,7 @@ class ImageModel(Table, frozen=True, kw_only=True):
     """True mounting of the camera against the vehicle file's: roll, pitch, yaw about the body's axes."""
     position_error_m: Vec3 = (0.0, 0.0, 0.0)
     """True place of the camera minus the vehicle file's, body frame."""
-    port: Port | None = None
+    port: FlatPort | None = None
     """``[camera.port]``: the true camera stands behind this flat pane; None = as the vehicle file says."""
     turbidity_1_m: NonNegative = 0.3
     """Contrast decays as exp(-turbidity * distance)."""

@@ -6,7 +6,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
-from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
+from autopilot.sitl.current_fields import STILL, CurrentField, current_field
 from autopilot.sitl.moving import MovingPath
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
@@ -21,7 +21,7 @@ class SimulatedWaters:
     floor_m: float | None = None
     """Depth of the flat floor, None = none."""
     solids: tuple[Solid, ...] = ()
-    current: CurrentField = Uniform()  # noqa: RUF009 - immutable
+    current: CurrentField = STILL
     tether_entry_ned_m: Vec3 | None = None
     """None = no tether."""
 

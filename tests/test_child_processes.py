@@ -23,7 +23,6 @@ PLACES: dict[tuple[str, str], str] = {
     ("tests/bench/ardusub/rig.py", "upload"): "ours",
     ("tests/bench/attitude.py", "bench_attitude"): "pool",
     ("tests/bench/estimator.py", "bench_estimator"): "pool",
-    ("tests/bench/faults/bench.py", "_tested"): "ours",
     ("tests/bench/gaps.py", "main"): "pool",
     ("tests/bench/speed_bound.py", "main"): "pool",
     ("autopilot/bench/live_service.py", "live_service"): "ours",

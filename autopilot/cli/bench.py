@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 STUDIES = "tests.bench.studies"
 
 KNOWN_STUDIES = (
-    *("alarms", "detection", "energy", "energy-latency", "energy-legs", "energy-rivals", "faults", "fuzz", "kills"),
-    *("modes", "picture-faults", "pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns"),
+    *("alarms", "detection", "energy", "energy-latency", "energy-legs", "energy-rivals", "fuzz", "kills"),
+    *("picture-faults", "pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns"),
     "vehicles",
 )
 """Studies of a source checkout."""

@@ -100,7 +100,7 @@ class CameraModel:
             r_frd_from_cam=r_frd_from_cam,
             fisheye=camera.model == "fisheye",
             has_laser=has_laser,
-            port=None if camera.port is None else camera.port.to_port(),
+            port=camera.port,
         )
 
     def behind(self, port: FlatPort) -> "CameraModel":

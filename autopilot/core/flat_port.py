@@ -9,25 +9,28 @@ since sin(air) = g sin(glass) = n sin(water). There is no single centre of proje
 start farther behind the pane. r is increasing and concave in u, so Newton's method from below always converges.
 """
 
-from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.toml_table import NonNegative, Table
 
 STEPS = 10
 """Of Newton's method; quadratic, at rounding after 5 or 6 inside of 60 degrees in the air."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlatPort:
-    distance_m: float
+class FlatPort(Table, frozen=True, kw_only=True):
+    """``[camera.port]``: a flat pane before the camera's lens."""
+
+    distance_m: NonNegative
     """From the lens's centre of projection to the pane's inner side."""
-    thickness_m: float
-    glass_index: float
-    """Of refraction, relative to air; acrylic 1.49, BK7 1.52."""
-    water_index: float
-    """Relative to air; 1.333 fresh, 1.340 sea water at 20 degC."""
+    thickness_m: NonNegative = 0.0
+    glass_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.5)] = 1.49
+    """Of refraction, relative to air; default acrylic, BK7 1.52."""
+    water_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.0)] = 1.333
+    """Relative to air; default fresh water at 20 degC in green light, sea water 1.340."""
 
     @property
     def outside_m(self) -> float:

@@ -180,27 +180,6 @@ one of the same kind, its stamps to a third of a picture at 30 Hz. A Doppler log
 ones are written by ``autopilot calibrate``."""
 
 
-class Port(Table, frozen=True, kw_only=True):
-    """A flat pane before the camera's lens (:class:`autopilot.core.flat_port.FlatPort`)."""
-
-    distance_m: NonNegative
-    """From the lens's centre of projection to the pane."""
-    thickness_m: NonNegative = 0.0
-    glass_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.5)] = 1.49
-    """Of refraction, relative to air; default acrylic."""
-    water_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.0)] = 1.333
-    """Relative to air; default fresh water at 20 degC in green light."""
-
-    def to_port(self) -> FlatPort:
-        """The same as the plain dataclass that the equations take."""
-        return FlatPort(
-            distance_m=self.distance_m,
-            thickness_m=self.thickness_m,
-            glass_index=self.glass_index,
-            water_index=self.water_index,
-        )
-
-
 class Camera(Table, frozen=True, kw_only=True):
     """Down-looking camera. Image x = starboard, image y = aft."""
 
@@ -229,7 +208,7 @@ class Camera(Table, frozen=True, kw_only=True):
     """Standard deviations of place and turn: positions and headings are off by them."""
     model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
     """What focal length, centre and distortion belong to: a calibration in water, or with "flat_port" one in air."""
-    port: Port | None = None
+    port: FlatPort | None = None
     """``[camera.port]``, needed by the model "flat_port"."""
 
     def __post_init__(self) -> None:

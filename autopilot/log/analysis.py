@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import lengths_m
+from autopilot.core.geometry import Polygon, lengths_m
 from autopilot.core.messages import ProgressState
+from autopilot.core.shapes import clearance_m
 from autopilot.log.description import FenceItemDescription, Obstacle, Point2, RunDescription, Waypoint
 from autopilot.log.packing.record_values import COUNTER_NAMES, LAST_NAMES
 from autopilot.log.reader import Log, MessageTable
@@ -309,30 +310,15 @@ def _mission_span(log: Log, armed: Span) -> Span:
 
 def distance_to_polygon(points_m: FloatArray, vertices_m: Sequence[Point2]) -> FloatArray:
     """(n,) distance of points (n, 2) from the outline of a polygon, positive inside."""
-    start = np.array(vertices_m, dtype=float)
-    end = np.roll(start, -1, axis=0)
-    nearest: FloatArray = np.full(len(points_m), np.inf)
-    inside: BoolArray = np.zeros(len(points_m), dtype=bool)
-    x, y = points_m[:, 0], points_m[:, 1]
-    for (ax, ay), (bx, by) in zip(start, end, strict=True):
-        dx, dy = bx - ax, by - ay
-        length2 = dx * dx + dy * dy
-        along = np.clip(((x - ax) * dx + (y - ay) * dy) / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros_like(x)
-        nearest = np.minimum(nearest, np.hypot(x - ax - along * dx, y - ay - along * dy))
-        if ay != by:
-            inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * dx / dy)
-    return np.where(inside, nearest, -nearest)
+    return -clearance_m(Polygon(vertices_ned_m=np.array(vertices_m, dtype=float)), points_m)
 
 
 def distance_to_fence(points_m: FloatArray, shapes: Sequence[FenceItemDescription]) -> FloatArray:
     """(n,) distance of points (n, 2) from the nearest boundary of the fence, positive on the permitted side."""
     nearest: FloatArray = np.full(len(points_m), np.inf)
-    for shape in shapes:
-        if shape.center_m is not None and shape.radius_m is not None:
-            inside = shape.radius_m - np.hypot(points_m[:, 0] - shape.center_m[0], points_m[:, 1] - shape.center_m[1])
-        else:
-            inside = distance_to_polygon(points_m, shape.vertices_m)
-        nearest = np.minimum(nearest, inside if shape.inclusion else -inside)
+    for item in shapes:
+        away_m = clearance_m(item.shape, points_m)
+        nearest = np.minimum(nearest, -away_m if item.inclusion else away_m)
     return nearest
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import msgspec
+import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
@@ -84,6 +85,12 @@ class FenceItemDescription:
     center_m: Point2 | None = None
     radius_m: float | None = None
     vertices_m: tuple[Point2, ...] = ()
+
+    @property
+    def shape(self) -> Shape:
+        if self.center_m is not None and self.radius_m is not None:
+            return Circle(center_ned_m=np.array(self.center_m), radius_m=self.radius_m)
+        return Polygon(vertices_ned_m=np.array(self.vertices_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

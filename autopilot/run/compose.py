@@ -40,29 +40,37 @@ from autopilot.run.recorded_answers import RecordedLogDirectory, WitnessedSaving
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ServiceSetup:
-    """Components and settings of one service."""
+class KnownEnvironment:
+    """The service's knowledge of vehicle and site, without the ground truth."""
 
     vehicle: Vehicle
-    params: ParamSet
     origin: Origin
     markers: MarkerMap | None
     """The surveyed floor, None without one."""
     floor_depth_m: float | None
     """Depth of the floor that the laser points at, None = unknown."""
-    estimator: str
-    """Name, or package:Class (docs/extend.md)."""
-    estimator_asked_by: str | None = None
-    """Option, variable or key that names it, for errors."""
-    controller: str = "nmpc"
-    """As ``estimator``."""
-    controller_asked_by: str | None = None
-    profile: str
-    instance: int
     currents: CurrentForecast
     """The controller's knowledge of the current."""
     current_check: CurrentCheck | None = None
     """Judges workspaces by a current map, None without one."""
+    pictures: bool = False
+    """Whether there is a camera that delivers pictures."""
+    controller: str = "nmpc"
+    """Name, or package:Class (docs/extend.md); the settings may name another."""
+    estimator: str = "ekf"
+    """As ``controller``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ServiceSetup(KnownEnvironment):
+    """Components and settings of one service."""
+
+    params: ParamSet
+    estimator_asked_by: str | None = None
+    """Option, variable or key that names it, for errors."""
+    controller_asked_by: str | None = None
+    profile: str
+    instance: int
     links: int
     """Number of MAVLink links that are open from the start."""
     rates: Mapping[int, float] = field(default_factory=dict)
@@ -75,8 +83,6 @@ class ServiceSetup:
     """Where the signing key is kept, None = nowhere."""
     log_directory: LogDirectoryReader | None = None
     """The logs that clients may download, None = none."""
-    pictures: bool = False
-    """Whether there is a camera that delivers pictures."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (lockstep) or continues (paced)."""
     git: str = field(default_factory=revision)

@@ -19,13 +19,13 @@ from autopilot.core.params import ParamSet
 from autopilot.log.description import RunDescription
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.clocks import LockstepClock, PacedClock
-from autopilot.run.compose import forecast_of
+from autopilot.run.compose import KnownEnvironment, forecast_of
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.session import Session, SessionOptions, open_session
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
-from autopilot.run.world import CurrentSource, KnownEnvironment, World
+from autopilot.run.world import CurrentSource, World
 from autopilot.view.controls import ReadOnly
 
 

@@ -4,10 +4,10 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TypedDict, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 from autopilot.command.service import Autopilot
 from autopilot.command.service_parts import ServiceParts
@@ -30,7 +30,7 @@ from autopilot.mission.plan_files import read_plan
 from autopilot.mission.store import load_plan
 from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import LockstepClock, PacedClock, make_clock
-from autopilot.run.compose import ServiceSetup, build_service, end_slow_work
+from autopilot.run.compose import KnownEnvironment, ServiceSetup, build_service, end_slow_work
 from autopilot.run.config import EffectiveSettings, chosen_part
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Onlooker, Onlookers, VehicleIo
@@ -41,7 +41,7 @@ from autopilot.run.session_log import open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.state_check import StateCheck
 from autopilot.run.still_files import StillStore
-from autopilot.run.world import KnownEnvironment, World
+from autopilot.run.world import World
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
 
@@ -241,24 +241,17 @@ def _service_setup(world: World, instance: int, signing: SigningFiles) -> Servic
     settings, known, speed = world.settings, world.known, world.speed
     controller, controller_by = chosen_part(settings, "controller", known.controller)
     estimator, estimator_by = chosen_part(settings, "estimator", known.estimator)
+    given: dict[str, Any] = {field.name: getattr(known, field.name) for field in fields(known)}
     return ServiceSetup(
-        vehicle=known.vehicle,
+        **{**given, "estimator": estimator, "controller": controller},
         params=world.params,
-        origin=known.origin,
-        markers=known.markers,
-        floor_depth_m=known.floor_depth_m,
-        estimator=estimator,
         estimator_asked_by=estimator_by,
-        controller=controller,
         controller_asked_by=controller_by,
         profile=settings["profile"],
         instance=instance,
-        currents=known.currents,
-        current_check=known.current_check,
         links=len(settings["connect"]) + len(world.peers),
         patience=FASTEST if speed == 0.0 else max(1.0, speed),
         waits_for_plans=speed == 0.0,
-        pictures=known.pictures,
         saving=world.persistent,
         signing=signing,
         log_directory=open_log_directory(settings, blocking=speed == 0.0),

@@ -26,23 +26,23 @@ from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.description import RunDescription
 from autopilot.mission.plan_files import PlanFile
 from autopilot.run.clocks import LockstepClock, PacedClock
-from autopilot.run.compose import forecast_of
+from autopilot.run.compose import KnownEnvironment, forecast_of
 from autopilot.run.config import EffectiveSettings, chosen_part, system_id
 from autopilot.run.outside import InProcessClient
 from autopilot.run.sitl_describe import describe_run, part_origins
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
-from autopilot.run.world import CurrentSource, KnownEnvironment, World
+from autopilot.run.world import CurrentSource, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.current_fields import current_field
+from autopilot.sitl.current_fields import GridCurrent, current_field
 from autopilot.sitl.floor import given_floor_m, given_markers
 from autopilot.sitl.hil import Wire, wires
 from autopilot.sitl.machine_faults import MachineFaults
 from autopilot.sitl.operator import ScriptedOperator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario, plan_path, with_vehicle
-from autopilot.sitl.scenario_tables import GridCurrent, Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""

@@ -10,21 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.command.service_parts import ServiceParts
-from autopilot.control.current.currents import CurrentForecast
 from autopilot.core.background import BackgroundWorker
-from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
-from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import FlightControllerState, Inputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
-from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import LoggedTruth
 from autopilot.log.record_table import TruthLike
 from autopilot.mission.plan_files import PlanFile
-from autopilot.mission.store import CurrentCheck
 from autopilot.run.clocks import LockstepClock, PacedClock
+from autopilot.run.compose import KnownEnvironment
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
@@ -32,28 +28,9 @@ from autopilot.view.controls import Controls
 from autopilot.view.page_state import Solid
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class KnownEnvironment:
-    """The service's knowledge of vehicle and site, without the ground truth.
-
-    The fields are those of :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are
-    defaults that the settings override.
-    """
-
-    vehicle: Vehicle
-    origin: Origin
-    markers: MarkerMap | None
-    floor_depth_m: float | None
-    currents: CurrentForecast
-    current_check: CurrentCheck | None = None
-    pictures: bool
-    controller: str = "nmpc"
-    estimator: str = "ekf"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSource:
-    """Source of :attr:`KnownEnvironment.currents`, for the log."""
+    """Source of :attr:`.KnownEnvironment.currents`, for the log."""
 
     kind: str
     basin: str

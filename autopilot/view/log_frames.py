@@ -12,7 +12,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Circle, Fence, Polygon, Shape
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import (
     AidStatus,
     ControlOutput,
@@ -33,7 +33,7 @@ from autopilot.core.messages import (
 from autopilot.core.samples import MarkerSighting, ObstacleTrack, PowerSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.analysis import STATE_FIELDS, obstacle_position
-from autopilot.log.description import FenceItemDescription, Point2, Point3, RunDescription
+from autopilot.log.description import Point2, Point3, RunDescription
 from autopilot.log.log_session import LoggedTruth
 from autopilot.log.moments import Fields, LogMoments
 from autopilot.log.packing.records import reader_of
@@ -378,17 +378,11 @@ def _sighting(row: Fields) -> MarkerSighting:
 
 def _fence_of(run: RunDescription) -> Fence:
     """The fence in force, for the clearance."""
-    shapes = [(shape.inclusion, made) for shape in run.fence if (made := _shape(shape)) is not None]
+    items = [item for item in run.fence if item.center_m is not None or len(item.vertices_m) >= 3]
     return Fence(
-        inclusions=tuple(shape for inside, shape in shapes if inside),
-        exclusions=tuple(shape for inside, shape in shapes if not inside),
+        inclusions=tuple(item.shape for item in items if item.inclusion),
+        exclusions=tuple(item.shape for item in items if not item.inclusion),
     )
-
-
-def _shape(shape: FenceItemDescription) -> Shape | None:
-    if shape.center_m is not None and shape.radius_m is not None:
-        return Circle(center_ned_m=np.array(shape.center_m), radius_m=shape.radius_m)
-    return Polygon(vertices_ned_m=np.array(shape.vertices_m)) if len(shape.vertices_m) >= 3 else None
 
 
 def _solids(run: RunDescription, t_s: float) -> tuple[Solid, ...]:

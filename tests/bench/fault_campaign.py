@@ -4,7 +4,6 @@ Every flight is one of the whole service (:mod:`tests.bench.sensor_faults`). A r
 """
 
 import math
-import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -94,28 +93,6 @@ class CampaignRow:
     resets: int
     blamed: bool
     kept: bool
-
-
-def drawn_fault(rng: random.Random) -> Table:
-    """A fault of any kind, size and axis: for machine-made cases."""
-    sensor = rng.choice(("accel", "gyro"))
-    axis = rng.randrange(3)
-    decades = (-0.5, 1.3) if sensor == "accel" else (-1.0, 0.5)
-    size = float(rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(*decades))
-    values = [0.0, 0.0, 0.0]
-    values[axis] = size
-    kind = rng.randrange(6)
-    if kind == 0:
-        return _offset(sensor, *values)
-    if kind == 1:
-        return _scale(sensor, *(rng.uniform(-1.0, 2.0) for _ in range(3)))
-    if kind == 2:
-        return _stuck(sensor, "xyz"[axis])
-    if kind == 3:
-        return _clip(sensor, 10.0 ** rng.uniform(-2.0, 0.5))
-    if kind == 4:
-        return {"kind": "ahrs_attitude", "roll_rad": rng.uniform(-0.3, 0.3), "pitch_rad": rng.uniform(-0.3, 0.3)}
-    return {"kind": "ahrs_attitude", "yaw_rad": rng.uniform(-3.0, 3.0)}
 
 
 def bench_sensor_faults(short: bool, show: Callable[[str], None] = lambda _: None) -> Iterator[CampaignRow]:

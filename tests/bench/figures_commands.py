@@ -163,7 +163,7 @@ def pockets_rows(short: bool) -> Rows:
 @click.option("--figures", type=click.Path(file_okay=False), help="Write figures into this folder.")
 @JSON
 def energy(short: bool, recompute: bool, cases: tuple[str, ...], figures: str | None, as_json: bool) -> None:
-    """Energy of closed loops beside the offline optimum and rivals.
+    """Energy of closed loops beside the offline optimum.
 
     With known flow, and with an estimated flow and a wrong model; a quarter of an hour, one minute with --short or
     among all benchmarks.
@@ -228,17 +228,6 @@ def rivals_rows(short: bool) -> Rows:
     return [asdict(row) for row in bench_rivals(short, tell)]
 
 
-def modes_rows(short: bool) -> Rows:
-    """Both costs of the controller (MPC_COST 0 and 1).
-
-    In the paper's tank and in other waters: energy, time, clearance, smoothness, CPU time (five minutes, two with
-    --short).
-    """
-    from tests.bench.modes import bench_modes
-
-    return [asdict(row) for row in bench_modes(short, tell)]
-
-
 @click.command()
 @SHORT
 @click.option("--base", metavar="REV", help="The other revision (default: where this one departed from origin/main).")
@@ -265,6 +254,5 @@ ROWS = {
     "energy-latency": latency_rows,
     "energy-legs": legs_rows,
     "energy-rivals": rivals_rows,
-    "modes": modes_rows,
 }
 """Studies without options of their own."""

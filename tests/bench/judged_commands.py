@@ -16,32 +16,6 @@ _SEED = click.option("--seed", type=int, default=1, show_default=True, help="Whe
 
 
 @click.command()
-@click.option("--short", is_flag=True, hidden=True)
-@click.option("--part", help="Only the findings of this part (loop, plans ...).")
-@click.option("--markdown", "as_markdown", is_flag=True, help="Print a Markdown table.")
-@JSON
-def faults(short: bool, part: str | None, as_markdown: bool, as_json: bool) -> None:
-    """What clients, wires, disks and sensors can do to the service.
-
-    What happened once, what is promised, what happens now (some minutes; exit code 1 if a promise is not kept).
-    """
-    from tests.bench.faults.bench import PARTS, bench_faults, markdown
-
-    if part is not None and part not in PARTS:
-        raise click.UsageError(f"--part {part}: there is {', '.join(PARTS)}")
-    rows = bench_faults(part, tell)
-
-    def show() -> None:
-        if as_markdown:
-            click.echo(markdown(rows), nl=False)
-        else:
-            columns = ("part", "finding", "before", "promise", "now", "kept")
-            print_table(TITLES["faults"], columns, [[str(getattr(row, c)) for c in columns] for row in rows])
-
-    judge(all(row.kept for row in rows), [asdict(row) for row in rows], show, as_json=as_json)
-
-
-@click.command()
 @SHORT
 @click.option("--messages", type=click.IntRange(1), help="How many (default 1000000, with --short 20000).")
 @_SEED

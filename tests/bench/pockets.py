@@ -80,9 +80,9 @@ def starts(world: str, count: int) -> list[tuple[float, float, float]]:
     return chosen[:count]
 
 
-def bench_pockets(count: int = STARTS, vehicle: Vehicle | None = None) -> list[PocketRow]:
+def bench_pockets(count: int = STARTS) -> list[PocketRow]:
     """One row per world, from ``count`` starts each."""
-    vehicle = vehicle or load_vehicle("lbv150")
+    vehicle = load_vehicle("lbv150")
     model = vehicle.to_model()
     dynamics = discrete_dynamics(model, STEP_US * 1e-6, 1)
 

@@ -15,7 +15,7 @@ COMMANDS: tuple[click.Command, ...] = (
         figures.turns,
         *(rows_command(name, TITLES[name], work) for name, work in figures.ROWS.items()),
     ),
-    *(judged.faults, judged.fuzz, judged.sensor_faults, judged.detection, judged.vehicles, judged.kills, judged.soak),
+    *(judged.fuzz, judged.sensor_faults, judged.detection, judged.vehicles, judged.kills, judged.soak),
     *(judged.alarms, judged.picture_faults, judged.thruster_health),
     *(replay_commands.replay, replay_commands.reference),
 )

@@ -13,7 +13,6 @@ _Result = TypeVar("_Result")
 
 TITLES = {
     "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
-    "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
     "picture-faults": "Pictures that are not of here and now; kept: no contact, outside 3 sigma called good for at most"
@@ -39,11 +38,9 @@ TITLES = {
     "energy-legs": "Energy plans of random legs, seconds of CPU and by the clock; slow = more than 1 s of CPU",
     "energy-rivals": "Legs at shipped defaults in the service on the simulated vehicle: J of its thrusters beside the"
     " optimum with the same drag and thrust; s = until the acceptance ball is entered",
-    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
+    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown);"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
     "turns": "CPU time of two revisions in turns: medians, and the ratios of this one to the other",
-    "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
-    " kept; cpu_ms = of the whole process per control step",
     "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
 }
 

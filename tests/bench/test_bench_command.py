@@ -20,8 +20,6 @@ OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
     "nmpc --short": ("nmpc", {"short": True}),
     "--short nmpc": ("nmpc", {"short": True}),
     "--json --short energy --figures out": ("energy", {"as_json": True, "short": True, "figures": "out"}),
-    "--part loop faults": ("faults", {"part": "loop"}),
-    "--part=loop faults --short": ("faults", {"part": "loop", "short": True}),
     "--only calibration --only pictures estimator": ("estimator", {"only": ("calibration", "pictures")}),
     "estimator --attitude --seeds 7..9": ("estimator", {"attitude": True, "seeds": range(7, 10)}),
     "--seed -3 fuzz --messages 10": ("fuzz", {"seed": -3, "messages": 10}),

@@ -1,4 +1,4 @@
-"""The energy benchmark: cases, optimum, committed data, bookkeeping and the follower."""
+"""The energy benchmark: cases, optimum, committed data and bookkeeping."""
 
 import math
 from dataclasses import replace
@@ -13,8 +13,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.sitl.scenario import load_scenario, plan_path
 from tests.bench.energy.bench import against_optimum
 from tests.bench.energy.cases import CASES, REGION_M, Case, EnergyGoal, uniform
-from tests.bench.energy.flight import EnergyFlight, fly, los_pilot, plant_field
-from tests.bench.energy.los_pid import LosGains
+from tests.bench.energy.flight import EnergyFlight, fly, plant_field
 from tests.bench.energy.optimum import (
     Guess,
     LeastEnergy,
@@ -171,13 +170,6 @@ def test_a_pilot_who_has_flown_before_keeps_his_clock() -> None:
 def test_classes_are_all_sides_and_turns() -> None:
     assert len({guess.label for guess in tank_guesses(False)}) == 16
     assert len({guess.label for guess in tank_guesses(True)}) == 64
-
-
-def test_follower_reaches_both_goals_without_touching() -> None:
-    flight = fly(CASES["b1"], los_pilot(VEHICLE, LosGains()), "pid", VEHICLE, laps=1)
-    assert flight.finished
-    assert flight.nearest_m > 0.0
-    assert flight.energy_j == pytest.approx(sum(flight.leg_j))
 
 
 def test_energy_of_a_drifting_vehicle_is_hotel_power() -> None:

@@ -24,17 +24,9 @@ from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.sitl.current_fields import current_field
+from autopilot.sitl.current_fields import Gyre, NoCurrentTable, Shear, TankJet, Uniform, Vortex, current_field
 from autopilot.sitl.plant import Plant, Truth
-from autopilot.sitl.scenario_tables import (
-    GyreCurrent,
-    JetCurrent,
-    NoCurrentTable,
-    ShearCurrent,
-    ThrusterLoss,
-    UniformCurrent,
-    VortexCurrent,
-)
+from autopilot.sitl.scenario_tables import ThrusterLoss
 from autopilot.sitl.simulated_waters import SimulatedWaters
 
 STEP_US = 20_000
@@ -72,8 +64,6 @@ class Flown:
     """Most evidence against a thruster that was sound [nats]."""
     found: tuple[float, ...] = (1.0,) * THRUSTERS
     """At the end."""
-    used_n: tuple[float, ...] = ()
-    """Standard deviation of each thrust since the loss [N]."""
 
 
 def drawn_vehicle(rng: np.random.Generator, vehicle: Vehicle, spread: float = 0.3) -> tuple[Vehicle, dict[str, float]]:
@@ -102,16 +92,16 @@ def drawn_current(rng: np.random.Generator) -> Any:
     place = (float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-1.0, 1.0)))
     tables = (
         NoCurrentTable(),
-        UniformCurrent(velocity_m_s=(speed * math.cos(heading), speed * math.sin(heading), 0.0)),
-        UniformCurrent(
+        Uniform(velocity_m_s=(speed * math.cos(heading), speed * math.sin(heading), 0.0)),
+        Uniform(
             velocity_m_s=(0.5 * speed * math.cos(heading), 0.5 * speed * math.sin(heading), 0.0),
             tide_m_s=(0.5 * speed, 0.0, 0.0),
             tide_period_s=float(rng.uniform(8.0, 40.0)),
         ),
-        JetCurrent(speed_m_s=speed, center_m=place, length_m=8.0, width_m=float(rng.uniform(3.0, 8.0))),
-        GyreCurrent(speed_m_s=speed, cell_m=float(rng.uniform(2.5, 6.0))),
-        VortexCurrent(center_m=place, circulation_m2_s=4.0 * speed, core_m=float(rng.uniform(0.6, 1.5))),
-        ShearCurrent(speed_m_s=0.3 * speed, shear_1_s=float(rng.uniform(-0.15, 0.15))),
+        TankJet(speed_m_s=speed, center_m=place, length_m=8.0, width_m=float(rng.uniform(3.0, 8.0))),
+        Gyre(speed_m_s=speed, cell_m=float(rng.uniform(2.5, 6.0))),
+        Vortex(center_m=place, circulation_m2_s=4.0 * speed, core_m=float(rng.uniform(0.6, 1.5))),
+        Shear(speed_m_s=0.3 * speed, shear_1_s=float(rng.uniform(-0.15, 0.15))),
     )
     return current_field(tables[int(rng.integers(len(tables)))])
 
@@ -248,7 +238,7 @@ def fly(
         model, Response.of(assumed.thrusters), submerged_m=LOSSES.submerged * assumed.hull_half_height_m
     )
     pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(assumed.thrusters)
-    acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
+    acting, pulse_n, flown = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown()
     tug_s = float(rng.uniform(8.0, 30.0))
     for tick in range(round(seconds * 1e6 / STEP_US)):
         t_us = tick * STEP_US
@@ -266,11 +256,8 @@ def fly(
         thrust = pilot.thrust(t_s, nav) if t_s >= HAND_S else np.zeros(THRUSTERS)
         pulses = allocation.pulses_us(thrust, truth.voltage_v, share)
         pulse_n = allocation.thrusts_n(pulses, truth.voltage_v)
-        if loss is None or t_s >= loss.at_s:
-            used.append(pulse_n)
         plant.advance(t_us + STEP_US, pulses)
     flown.found = tuple(health.found.tolist())
-    flown.used_n = tuple(np.std(used, axis=0).tolist()) if used else (0.0,) * THRUSTERS
     return flown
 
 

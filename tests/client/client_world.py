@@ -3,8 +3,7 @@
 Time is virtual: it passes while the client waits. The vehicle under the server flies straight to its goal.
 """
 
-import random
-from dataclasses import dataclass, field
+from collections import deque
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.sequencer import Sequencer
 from autopilot.mission.store import Plans
 from tests import plan_items
+from tests.lossy_link import LinkConditions, LossyLink
 
 TICK_US = 10_000
 RADIUS_M = 0.3
@@ -25,6 +25,7 @@ ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
 _POINT = GeodeticPosition(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
 OK = CommandReply(result=CommandResult.ACCEPTED)
 NO = CommandReply(result=CommandResult.UNSUPPORTED)
+PERFECT = LinkConditions()
 
 
 class StraightVehicle:
@@ -122,33 +123,18 @@ class StraightVehicle:
         return out.reached, view
 
 
-@dataclass
-class Loss:
-    """What the link does to each datagram, in both directions."""
-
-    drop: float = 0.0
-    duplicate: float = 0.0
-    delay: float = 0.0
-    """Share of datagrams that are late by up to ``late_s``: later ones overtake them."""
-    late_s: float = 0.12
-    rng: random.Random = field(default_factory=lambda: random.Random(1))
-
-
 class MemoryLink:
     """The client's link, and the world behind it."""
 
-    def __init__(self, loss: Loss | None = None, profile: str = "px4") -> None:
+    def __init__(self, conditions: LinkConditions = PERFECT, seed: int = 1, profile: str = "px4") -> None:
         self.params = ParamSet()
         self.plans = Plans(self.params, RADIUS_M, ORIGIN)
         self.vehicle = StraightVehicle(self.plans, self.params)
-        self.loss = loss or Loss()
         self.t_us = 0
         self.cut = False
         """True = nothing gets through in either direction."""
-        self.client_sent = 0
-        self._serial = 0
-        self._up: list[tuple[int, int, bytes]] = []
-        self._down: list[tuple[int, int, bytes]] = []
+        self._up, self._down = LossyLink(conditions, seed), LossyLink(conditions, seed + 1000)
+        self._arrived: deque[bytes] = deque()
         self.server = MavlinkServer(
             sysid=1,
             profile=profile,
@@ -167,17 +153,15 @@ class MemoryLink:
 
     def send(self, data: bytes) -> None:
         """From the client."""
-        self.client_sent += 1
         self._post(self._up, data)
 
     def receive(self, timeout_s: float) -> bytes:
         """To the client; time passes until something comes."""
         end_us = self.t_us + round(timeout_s * 1e6)
         while True:
-            due = sorted(entry for entry in self._down if entry[0] <= self.t_us)
-            if due:
-                self._down.remove(due[0])
-                return due[0][2]
+            self._arrived += self._down.take(self.t_us)
+            if self._arrived:
+                return self._arrived.popleft()
             if self.t_us >= end_us:
                 return b""
             self.tick()
@@ -188,19 +172,11 @@ class MemoryLink:
     def tick(self, events: tuple[Event, ...] = ()) -> None:
         """10 ms of the world."""
         self.t_us += TICK_US
-        due = sorted(entry for entry in self._up if entry[0] <= self.t_us)
-        self._up = [entry for entry in self._up if entry[0] > self.t_us]
         reached, view = self.vehicle.tick(self.t_us)
-        rx = [MavlinkFrame(link=0, data=data) for _, _, data in due]
+        rx = [MavlinkFrame(link=0, data=data) for data in self._up.take(self.t_us)]
         for frame in self.server.step(self.t_us, rx, view, events, reached):
             self._post(self._down, frame.data)
 
-    def _post(self, queue: list[tuple[int, int, bytes]], data: bytes) -> None:
-        loss, rng = self.loss, self.loss.rng
-        copies = 2 if rng.random() < loss.duplicate else 1
-        for _ in range(copies):
-            if self.cut or rng.random() < loss.drop:
-                continue
-            late_us = round(rng.random() * loss.late_s * 1e6) if rng.random() < loss.delay else 0
-            self._serial += 1
-            queue.append((self.t_us + late_us, self._serial, data))
+    def _post(self, link: LossyLink, data: bytes) -> None:
+        if not self.cut:
+            link.put(self.t_us, data)

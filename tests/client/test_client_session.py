@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from client_world import TICK_US, Loss, MemoryLink
+from client_world import PERFECT, TICK_US, MemoryLink
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.client_session import CommandRefusedError, MissionStatus, VehicleConnection
@@ -13,8 +13,9 @@ from autopilot.core.errors import DriverError, PlanError
 from autopilot.core.messages import Event, ProgressState
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.paper import paper_plan
+from tests.lossy_link import LinkConditions
 
-BAD = {"drop": 0.2, "duplicate": 0.2, "delay": 0.2}
+BAD = LinkConditions(loss=0.2, duplicate=0.2, reorder=0.2, reorder_s=0.06)
 
 
 def session(link: MemoryLink) -> VehicleConnection:
@@ -33,7 +34,7 @@ def long_mission(count: int) -> tuple[PlanItem, ...]:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_plans_arrive_whole_over_a_link_that_loses_doubles_and_swaps(seed: int) -> None:
-    link = MemoryLink(Loss(**BAD, rng=random.Random(seed)))
+    link = MemoryLink(BAD, seed)
     client = session(link)
     plan = paper_plan()
     for kind in (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION):
@@ -73,9 +74,9 @@ def test_an_empty_plan_clears(link: MemoryLink) -> None:
     assert client.download(PlanKind.MISSION) == ()
 
 
-@pytest.mark.parametrize("loss", [{}, BAD], ids=["good link", "bad link"])
-def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> None:
-    link = MemoryLink(Loss(**loss, rng=random.Random(3)))
+@pytest.mark.parametrize("conditions", [PERFECT, BAD], ids=["good link", "bad link"])
+def test_a_refusal_comes_with_the_vehicles_reason(conditions: LinkConditions) -> None:
+    link = MemoryLink(conditions, 3)
     client = session(link)
     client.upload(PlanKind.FENCE, paper_plan().fence)
     good = long_mission(5)
@@ -83,7 +84,7 @@ def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> Non
     client.upload(PlanKind.MISSION, good)
     with pytest.raises(PlanError) as refusal:
         client.upload(PlanKind.MISSION, bad)
-    if not loss:
+    if conditions is PERFECT:
         assert "item 3 (QGC 4): 50.00 m above the surface; altitude must be <= 0" in str(refusal.value)
     assert same_on_the_wire(link.plans.items(PlanKind.MISSION), good)
 
@@ -164,9 +165,9 @@ def test_arm_refused_with_reasons_then_forced(link: MemoryLink) -> None:
     assert client.vehicle.armed
 
 
-@pytest.mark.parametrize("loss", [{}, BAD], ids=["good link", "bad link"])
-def test_the_papers_mission_flown_from_the_client(loss: dict[str, float]) -> None:
-    link = MemoryLink(Loss(**loss, rng=random.Random(5)))
+@pytest.mark.parametrize("conditions", [PERFECT, BAD], ids=["good link", "bad link"])
+def test_the_papers_mission_flown_from_the_client(conditions: LinkConditions) -> None:
+    link = MemoryLink(conditions, 5)
     client = session(link)
     plan = paper_plan(3)
     client.upload(PlanKind.FENCE, plan.fence)
@@ -178,7 +179,7 @@ def test_the_papers_mission_flown_from_the_client(loss: dict[str, float]) -> Non
     seen: list[MissionStatus] = []
     status = client.watch_mission(seen.append, timeout_s=120.0)
     assert status.state is ProgressState.COMPLETE
-    if not loss:
+    if conditions is PERFECT:
         assert status.reached == (0, 1, 2, 1, 2, 1, 2)
     assert [len(s.reached) for s in seen] == sorted(len(s.reached) for s in seen)
 
@@ -207,7 +208,7 @@ def _far(seq: int) -> PlanItem:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
-    link = MemoryLink(Loss(drop=0.0, duplicate=0.5, delay=0.5, rng=random.Random(seed)))
+    link = MemoryLink(LinkConditions(duplicate=0.5, reorder=0.5, reorder_s=0.06), seed)
     client = session(link)
     high = PlanItem(seq=0, frame=3, command=16, x=379755000, y=237790000, z=50.0)
     with pytest.raises(PlanError) as refusal:

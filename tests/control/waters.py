@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.control.current.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon
-from autopilot.sitl.current_fields import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform
+from autopilot.sitl.current_fields import STILL, Bickley, CurrentField, Gyre, Shear, TankJet
 from tests.control.control_loop import nav_state
 
 STEP_S = 0.2
@@ -53,7 +53,7 @@ def water_of(kind: str, rng: np.random.Generator, length_m: float, width_m: floa
         ),
         "gyre": Gyre(speed_m_s=speed, cell_m=width_m * rng.uniform(0.4, 1.0)),
         "shear": Shear(shear_1_s=speed / width_m * rng.uniform(0.5, 2.0), speed_m_s=rng.uniform(-0.2, 0.2)),
-        "still": Uniform(),
+        "still": STILL,
     }
     field = fields[kind]
     return lambda pos, t: np.array(field.velocity((float(pos[0]), float(pos[1]), 0.5), t)[:2])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy.optimize import least_squares
 
 from autopilot.core.camera import NEAR_M, CameraModel
@@ -124,7 +125,7 @@ def test_a_pane_without_refraction_changes_nothing() -> None:
 
 def test_far_away_a_calibration_in_water_and_its_lens_behind_the_pane_agree() -> None:
     """``behind`` takes the refraction out of the calibration: equal to fourth order at 100 m, 1 px at the rim."""
-    behind = WATER.behind(replace(PORT, distance_m=0.0, thickness_m=0.0))
+    behind = WATER.behind(structs.replace(PORT, distance_m=0.0, thickness_m=0.0))
     pixels = np.stack(np.meshgrid(np.linspace(80, 560, 9), np.linspace(60, 420, 7)), axis=-1).reshape(-1, 2)
     rays = np.column_stack((WATER.normalized(pixels), np.ones(len(pixels)))) * 100.0
     error_px = behind.project(rays) - pixels
@@ -153,7 +154,7 @@ def pinhole_for(camera: CameraModel, depths_m: FloatArray) -> tuple[CameraModel,
 def test_a_pinhole_calibrated_in_water_sits_8_millimetres_behind_the_lens() -> None:
     """Pane 20 mm before the lens: 8.5 mm over the whole of a wide picture (on the axis (n - 1) 20 mm = 6.7 mm). Whoever
     takes the lens for the centre of the pinhole is that much off in height, at every height."""
-    wide = replace(WIDE, distortion=(0.0, 0.0, 0.0, 0.0, 0.0), port=replace(PORT, thickness_m=0.0))
+    wide = replace(WIDE, distortion=(0.0, 0.0, 0.0, 0.0, 0.0), port=structs.replace(PORT, thickness_m=0.0))
     pinhole, before_m = pinhole_for(wide, np.array([0.3, 0.6, 0.9, 1.2]))
     assert wide.port is not None
     assert before_m == pytest.approx(-0.0085, abs=0.0008)

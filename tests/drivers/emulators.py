@@ -85,18 +85,11 @@ class PingEmulator(AlwaysOpen):
 
     def power_up(self) -> None:
         self._sends, self._interval_us = False, 100_000
-        self.speed_mm_s = 1_500_000
-        self.range_mm: tuple[int, int] | None = None
 
     def write(self, data: bytes) -> None:
         for frame in self._parser.feed(data):
             if frame.message == ping.SET_PING_INTERVAL:
                 self._interval_us = 1000 * int.from_bytes(frame.payload, "little")
-            elif frame.message == ping.SET_SPEED_OF_SOUND:
-                self.speed_mm_s = int.from_bytes(frame.payload, "little")
-            elif frame.message == ping.SET_RANGE:
-                start_mm, length_mm = struct.unpack("<II", frame.payload)
-                self.range_mm = (start_mm, length_mm)
             elif frame.message == ping.CONTINUOUS_START:
                 self._sends = int.from_bytes(frame.payload, "little") == ping.DISTANCE_SIMPLE
             self._queue.append(ping.encode(1, struct.pack("<H", frame.message), sender=1))

@@ -67,7 +67,6 @@ class Rig(ABC):
         self.t_us = 0
         self.silent = False
         self.polls = 1
-        self.worst_poll_s = 0.0
 
     @abstractmethod
     def emit(self) -> None:

@@ -235,7 +235,6 @@ class WithoutAttitude:
 
     def __init__(self, inner: Estimator) -> None:
         self.inner = inner
-        self.spoil: FloatArray | None = None
 
     def step(self, t_us: int, samples: list[Sample], thrust_n: FloatArray) -> object:
         return self.inner.step(t_us, [self._raw(s) if isinstance(s, AhrsSample) else s for s in samples], thrust_n)

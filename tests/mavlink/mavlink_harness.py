@@ -1,9 +1,8 @@
 """A MAVLink client in memory with virtual time, and the two things the server talks to: plans and a vehicle."""
 
-import random
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Change, plan_checksum
+from tests.lossy_link import LinkConditions, LossyLink
 
 TICK_US = 10_000
 ORIGIN = GeodeticPosition(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
@@ -245,30 +245,10 @@ class World:
         self.view = replace(self.view, **changes)
 
 
-@dataclass
-class Lossy:
-    """What a link does to each datagram."""
-
-    drop: float = 0.0
-    duplicate: float = 0.0
-    delay_ticks: int = 0
-    """A datagram takes 0 to so many ticks more: reordering."""
-    rng: random.Random = field(default_factory=lambda: random.Random(1))
-
-    def __post_init__(self) -> None:
-        self._late: list[tuple[int, bytes]] = []
-
-    def pass_on(self, datagrams: list[bytes]) -> list[bytes]:
-        """What comes out this tick."""
-        rng = self.rng
-        for data in datagrams:
-            if rng.random() < self.drop:
-                continue
-            for _ in range(2 if rng.random() < self.duplicate else 1):
-                self._late.append((rng.randint(0, self.delay_ticks), data))
-        out = [data for ticks, data in self._late if ticks <= 0]
-        self._late = [(ticks - 1, data) for ticks, data in self._late if ticks > 0]
-        return out
+def both_ways(seed: int, loss: float = 0.2, duplicate: float = 0.2, late_s: float = 0.02) -> dict[str, LossyLink]:
+    """A bad link for :meth:`World.client`: half of the datagrams come ``late_s`` later than others."""
+    bad = LinkConditions(loss=loss, duplicate=duplicate, reorder=0.5 if late_s else 0.0, reorder_s=late_s)
+    return {"to_vehicle": LossyLink(bad, seed), "from_vehicle": LossyLink(bad, seed + 1000)}
 
 
 class Client:
@@ -280,8 +260,8 @@ class Client:
         link: int = 0,
         sysid: int = 255,
         compid: int = 190,
-        to_vehicle: Lossy | None = None,
-        from_vehicle: Lossy | None = None,
+        to_vehicle: LossyLink | None = None,
+        from_vehicle: LossyLink | None = None,
         number: int = 0,
     ) -> None:
         """``number``: which of those who share the link."""
@@ -290,7 +270,7 @@ class Client:
         self._mav = mav.MAVLink(None, srcSystem=sysid, srcComponent=compid)
         self._parser = mav.MAVLink(None)
         self._parser.robust_parsing = True
-        self._up, self._down = to_vehicle or Lossy(), from_vehicle or Lossy()
+        self._up, self._down = to_vehicle, from_vehicle
         self._tx: deque[bytes] = deque()
         self.rx: list[Any] = []
         self.on_message: Any = None
@@ -308,9 +288,17 @@ class Client:
 
     def take_tx(self) -> list[MavlinkFrame]:
         """What reaches the vehicle this tick."""
-        out = self._up.pass_on(list(self._tx))
+        out = self._passed(self._up, list(self._tx))
         self._tx.clear()
         return [MavlinkFrame(link=self.link, data=data, client=self.number) for data in out]
+
+    def _passed(self, link: LossyLink | None, datagrams: list[bytes]) -> list[bytes]:
+        """What comes out of a link this tick."""
+        if link is None:
+            return datagrams
+        for data in datagrams:
+            link.put(self.world.t_us, data)
+        return link.take(self.world.t_us)
 
     def gets(self, frame: MavlinkFrame) -> bool:
         """Whether the link brings a frame to this client."""
@@ -318,7 +306,7 @@ class Client:
 
     def deliver(self, datagrams: list[bytes]) -> None:
         """What the vehicle sent this tick."""
-        for data in self._down.pass_on(datagrams):
+        for data in self._passed(self._down, datagrams):
             for message in self._parser.parse_buffer(data) or []:
                 assert message.get_msgId() >= 0 or message.get_type() in NOT_PACKAGED, message
                 self.rx.append(message)

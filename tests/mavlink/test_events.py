@@ -2,7 +2,6 @@
 
 import json
 import lzma
-import random
 from typing import Any
 
 import pytest
@@ -10,7 +9,7 @@ from event_client import EventReader
 from event_reports import EventMetadata, Report
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_harness import Lossy, World, mav
+from mavlink_harness import World, both_ways, mav
 
 from autopilot.core.arming_reasons import ALL_MODES, COMPONENT_OF, ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.messages import Failsafe
@@ -22,6 +21,7 @@ from autopilot.mavlink.events import KEPT, RESENT_PER_TICK
 from autopilot.mavlink.flight_modes import POSITIONLESS, FlightMode
 from autopilot.mavlink.metadata import EVENTS_FILE, GENERAL
 from autopilot.mavlink.profiles import PROFILES
+from tests.lossy_link import LinkConditions, LossyLink
 
 BLIND = ArmingReason(
     "no position yet: markers must be in view", HealthComponent.POSITION, ModeGroup.POSITION | ModeGroup.MISSION
@@ -160,11 +160,8 @@ def test_lost_events_are_asked_for_by_each_client_in_its_own_time(
     world = disarmed(links=(0, 1, 2))
     readers = []
     for number, (drop, twice, late, link) in enumerate(links, 1):
-        up, down = (
-            Lossy(drop=drop, duplicate=twice, delay_ticks=late, rng=random.Random(seed + 2 * number + way))
-            for way in (0, 1)
-        )
-        client = world.client(link=link, sysid=200 + number, number=number, to_vehicle=up, from_vehicle=down)
+        ways = both_ways(seed + number, drop, twice, 0.01 * late)
+        client = world.client(link=link, sysid=200 + number, number=number, **ways)
         readers.append(EventReader(client))
     run(world, readers, 2.0)
     for reasons, seconds in news:
@@ -183,14 +180,14 @@ def test_lost_events_are_asked_for_by_each_client_in_its_own_time(
 
 def test_events_that_are_no_longer_kept_are_named_lost_and_the_newest_arrive() -> None:
     world = disarmed(LEAK)
-    away, there = Lossy(), EventReader(world.client(sysid=201))
+    away, there = LossyLink(LinkConditions(), 1), EventReader(world.client(sysid=201))
     reader = EventReader(world.client(sysid=200, number=2, from_vehicle=away))
     run(world, [reader, there], 2.0)
-    before, away.drop = reader.latest, 1.0
+    before, away.conditions = reader.latest, LinkConditions(loss=1.0)
     for n in range(60):
         world.show(arming_reasons=(battery(n),))
         run(world, [reader, there], 2.1)
-    away.drop = 0.0
+    away.conditions = LinkConditions()
     run(world, [reader, there], 10.0)
     assert before is not None
     assert reader.lost == world.server._events._latest - before - KEPT > 0 == there.lost
@@ -230,12 +227,12 @@ def test_a_client_that_missed_the_restart_is_told_where_the_numbers_are() -> Non
 def test_numbers_begin_again_after_the_last() -> None:
     world = disarmed(LEAK)
     world.server._events._latest = 65_530
-    lossy = Lossy(drop=0.4, rng=random.Random(3))
+    lossy = LossyLink(LinkConditions(loss=0.4), 3)
     reader = EventReader(world.client(from_vehicle=lossy))
     for n in range(8):
         run(world, [reader], 3.0)
         world.show(arming_reasons=(battery(n), LEAK))
-    lossy.drop = 0.0
+    lossy.conditions = LinkConditions()
     run(world, [reader], 5.0)
     assert reader.latest == world.server._events._latest < 65_530 and reader.lost == 0
     assert said(reports(reader)[-1]) == [battery(7).text, LEAK.text]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mavlink_harness import Client, Lossy, World, mav
+from mavlink_harness import Client, World, both_ways, mav
 
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.crc import file_crc32
@@ -19,6 +19,7 @@ from autopilot.core.params import PARAMETERS, ParamType
 from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.ftp import Error, Op
 from autopilot.mavlink.stubs import STUBS
+from tests.lossy_link import LinkConditions, LossyLink
 
 HEADER = struct.Struct("<HBBBBBxI")
 
@@ -170,8 +171,7 @@ def test_choices_are_told_for_every_value_or_not_at_all() -> None:
 def test_logs_arrive_whole_by_file_transfer(folder: Path, loss: float) -> None:
     sent = a_log(folder, "2026-11-22/10_00_00.mcap", 150_000)
     world = world_with(folder)
-    down, up = (Lossy(drop=loss, duplicate=loss, delay_ticks=3 if loss else 0, rng=random.Random(n)) for n in (1, 2))
-    ftp = Ftp(world.client(to_vehicle=up, from_vehicle=down))
+    ftp = Ftp(world.client(**both_ways(1, loss, loss, 0.02 if loss else 0.0)))
     got = ftp.get("@MAV_LOG/2026-11-22/10_00_00.mcap")
     assert hashlib.sha256(got).digest() == hashlib.sha256(sent).digest()
     opcode, crc = ftp.ask(Op.CRC32, data=b"/@MAV_LOG/2026-11-22/10_00_00.mcap")
@@ -303,7 +303,8 @@ def test_a_narrow_link_is_not_filled_beyond_what_it_takes(folder: Path) -> None:
 def test_logs_arrive_whole_by_log_messages(folder: Path, profile: str, first: int, loss: float) -> None:
     sent = [a_log(folder, f"2026-11-22/10_00_0{n}.mcap", 9000 * n + 90, seed=n) for n in range(3)]
     world = world_with(folder, profile)
-    client = world.client(from_vehicle=Lossy(drop=loss, duplicate=loss, delay_ticks=2 if loss else 0))
+    link = LossyLink(LinkConditions(loss=loss, duplicate=loss, reorder=loss, reorder_s=0.01), seed=1)
+    client = world.client(from_vehicle=link)
     entries: dict[int, Any] = {}
     while len(entries) < 3:
         for m in client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2):

@@ -1,16 +1,15 @@
 """The mission protocol, row by row, over a perfect and over a bad link."""
 
-import random
 from collections.abc import Callable
 
 import pytest
 from mavlink_harness import (
     ORIGIN,
     Client,
-    Lossy,
     Uploader,
     World,
     base_view,
+    both_ways,
     download,
     mav,
     same_items,
@@ -428,16 +427,9 @@ def test_a_download_is_not_mixed_by_an_upload_in_its_midst() -> None:
 # Bad links
 
 
-def lossy(seed: int) -> dict[str, Lossy]:
-    return {
-        "to_vehicle": Lossy(drop=0.2, duplicate=0.2, delay_ticks=3, rng=random.Random(seed)),
-        "from_vehicle": Lossy(drop=0.2, duplicate=0.2, delay_ticks=3, rng=random.Random(seed + 1000)),
-    }
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_transfers_survive_loss_duplication_and_reordering(world: World, seed: int) -> None:
-    client = world.client(**lossy(seed))
+    client = world.client(**both_ways(seed))
     first, second, fence = plan(15), plan(9, north=3000), plan(6, 1)
     assert lossy_upload(client, first) == R.ACCEPTED
     assert same_items(first, download(client, retry_s=0.3) or [])

@@ -2,42 +2,39 @@
 
 from __future__ import annotations
 
-from collections import deque
 from itertools import pairwise
 
 import pytest
-from mavlink_harness import Client, Lossy, World, mav
+from mavlink_harness import Client, World, mav
+
+from tests.lossy_link import LinkConditions, LossyLink
 
 BYTES_PER_S = 5760.0
 
 
-class Line(Lossy):
-    """Carries so many bytes a tick; what is more waits in its buffer, in order."""
+class Line(LossyLink):
+    """Carries so many bytes a second; what is more waits in its buffer, in order."""
 
-    def __init__(self, bytes_per_s: float) -> None:
-        super().__init__()
-        self._queue: deque[bytes] = deque()
-        self._left = 0.0
-        self._rate = bytes_per_s / 100.0
-        self.carried = 0
-        self.longest = 0
+    def __init__(self) -> None:
+        super().__init__(LinkConditions(rate_bytes_s=BYTES_PER_S), 0)
+        self.carried = self.longest = self._inside = 0
 
-    def pass_on(self, datagrams: list[bytes]) -> list[bytes]:
-        self._queue += datagrams
-        waiting = sum(len(data) for data in self._queue)
-        self.longest = max(self.longest, waiting)
-        self._left = min(self._left + self._rate, self._rate if not self._queue else 1e9)
-        out = []
-        while self._queue and self._left >= len(self._queue[0]):
-            self._left -= len(self._queue[0])
-            self.carried += len(self._queue[0])
-            out.append(self._queue.popleft())
-        return out
+    def put(self, t_us: int, data: bytes) -> None:
+        super().put(t_us, data)
+        self._inside += len(data)
+        self.longest = max(self.longest, self._inside)
+
+    def take(self, t_us: int) -> list[bytes]:
+        arrived = super().take(t_us)
+        size = sum(map(len, arrived))
+        self.carried += size
+        self._inside -= size
+        return arrived
 
 
 def slow_world(*, greedy: bool) -> tuple[World, Client, Line]:
     world = World(rates={0: BYTES_PER_S})
-    line = Line(BYTES_PER_S)
+    line = Line()
     client = world.client(from_vehicle=line)
     client.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
     world.run(0.5)

@@ -1,7 +1,6 @@
 """Servos, relays, gripper, lights, and a camera that tilts or is fixed: commands through the whole service."""
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,9 +17,9 @@ from autopilot.log.reader import open_log
 from autopilot.mission.decode import ItemRefusedError
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.payload_items import TiltCamera
-from autopilot.run.config import flight_settings
-from autopilot.run.sitl_session import open_sitl
 from tests.plan_items import plain
+from tests.system.system_harness import sessions
+from tests.system.wire_client import Harbour, WireClient
 
 LIGHTS, GRABBER, RELAY = 0, 1, 2
 """Place in the file of the lbv150, which has them on channels 17, 18 and 19."""
@@ -237,30 +236,15 @@ def test_a_wrong_table_is_told(table: dict[str, object], said: str) -> None:
 
 
 def test_a_simulated_gripper_moves_and_its_state_is_in_the_log(tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    settings = flight_settings(tmp_path, {"scenario": "paper-tank", "sensors": "pose", "log": str(log)})
-    client = WireGripper()
-    session = open_sitl(settings, {}, peers=(client,))
-    for tick in range(1, 351):
-        session.runtime.tick(10_000 * tick)
-    session.runtime.close()
-    session.recorder.close()
+    log, client = tmp_path / "run.mcap", WireClient()
+    with sessions(tmp_path) as session:
+        harbour = Harbour(session(sensors="pose", log=log, peers=(client,)))
+        harbour.run(0.5)
+        client.send(mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_DO_GRIPPER, 0, 1.0, 1.0, 0, 0, 0, 0, 0))
+        harbour.run(3.0)
     found = open_log(log)
     commanded = found["/payload/outputs"]
     assert commanded["pulse_us"][-1].tolist()[:4] == [1100, 1100, 1100, 0]
     shares = found["/sim/payload"]["share"][:, GRABBER]
     assert shares[0] == 1.0 and shares[-1] == 0.0
     assert ((shares > 0.0) & (shares < 1.0)).sum() > 100, "a gripper takes its time"
-
-
-class WireGripper:
-    """A client that closes the gripper once."""
-
-    def __init__(self) -> None:
-        self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        if t_us != 500_000:
-            return []
-        message = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_DO_GRIPPER, 0, 1.0, 1.0, 0, 0, 0, 0, 0)
-        return [bytes(message.pack(self._mav))]

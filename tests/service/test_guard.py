@@ -1,7 +1,7 @@
 """Something inside the service fails: the real service on the simulated vehicle, with one part broken on purpose."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,87 +22,55 @@ from autopilot.estimator.vision import Hint
 from autopilot.estimator.vision_worker import VisionWorker
 from autopilot.log.packer import MAX_PROGRAMS
 from autopilot.log.reader import open_log
-from autopilot.run.config import flight_settings
-from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.run.sitl_session import SitlSession
+from tests.system.system_harness import sessions
+from tests.system.wire_client import Harbour, WireClient
 
-OpenSession = Callable[..., SitlSession]
 NEUTRAL_US = 1500
 
 
-class Client:
-    """A ground station in the vehicle's time."""
-
-    def __init__(self) -> None:
-        self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self._mav.robust_parsing = True
-        self.out: list[bytes] = []
-        self.inbox: list[Any] = []
-
-    def send(self, message: Any) -> None:
-        self.out.append(bytes(message.pack(self._mav)))
-
-    def command(self, command: int, *params: float) -> None:
-        self.send(mav.MAVLink_command_long_message(1, 1, command, 0, *(*params, *(0.0,) * 7)[:7]))
-
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        for data in received:
-            self.inbox += self._mav.parse_buffer(data) or ()
-        out, self.out = self.out, []
-        return out
-
-    def texts(self) -> list[str]:
-        whole: list[str] = []
-        for m in self.inbox:
-            if m.get_type() == "STATUSTEXT" and m.chunk_seq:
-                whole[-1] += m.text
-            elif m.get_type() == "STATUSTEXT":
-                whole.append(m.text)
-        return whole
-
-    def count(self, kind: str) -> int:
-        return sum(m.get_type() == kind for m in self.inbox)
-
-
-class Flight:
+class Flight(Harbour):
     """A vehicle that has been armed and is on its mission."""
 
-    def __init__(self, session: SitlSession, client: Client) -> None:
-        self.session, self.client = session, client
-        self.t_us = 0
+    def __init__(self, session: SitlSession, client: WireClient) -> None:
+        super().__init__(session)
+        self.client = client
         self.outputs: list[Outputs] = []
+
+    def tick(self) -> Outputs:
+        self.outputs.append(super().tick())
+        return self.outputs[-1]
 
     def fly(self, seconds: float) -> list[Outputs]:
         begin = len(self.outputs)
-        for _ in range(round(seconds * 100)):
-            self.t_us += 10_000
-            self.outputs.append(self.session.runtime.tick(self.t_us))
+        self.run(seconds)
         return self.outputs[begin:]
+
+    def order(self, command: int, *params: float) -> None:
+        """Waits for no answer."""
+        self.client.send(mav.MAVLink_command_long_message(1, 1, command, 0, *(*params, *(0.0,) * 7)[:7]))
+
+    def texts(self) -> list[str]:
+        return self.client.texts(least=mav.MAV_SEVERITY_DEBUG)
+
+    def beats(self) -> int:
+        return len(self.client.received("HEARTBEAT"))
 
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Iterator[Callable[..., Flight]]:
     """Makes flights that are on their way, with the guard as in production."""
-    opened: list[SitlSession] = []
+    with sessions(tmp_path) as session:
 
-    def make(log: Path | None = None, under_way: bool = True) -> Flight:
-        settings = flight_settings(
-            tmp_path / "state", {"scenario": "paper-tank", "sensors": "pose", "start": under_way}
-        )
-        settings.put("log", None if log is None else str(log), "test")
-        client = Client()
-        session = open_sitl(settings, {"FS_FAULT_TIME": 2.0, "MPC_COST": 0.0}, log=log is not None, peers=(client,))
-        session.parts.guard.raises = False
-        session.runtime._guard.raises = False
-        opened.append(session)
-        made = Flight(session, client)
-        made.fly(3.5 if under_way else 1.5)
-        assert made.outputs[-1].mode.armed is under_way
-        return made
+        def make(log: Path | None = None) -> Flight:
+            client, params = WireClient(), {"FS_FAULT_TIME": 2.0, "MPC_COST": 0.0}
+            made = Flight(session(sensors="pose", start=True, params=params, log=log, peers=(client,)), client)
+            made.session.parts.guard.raises = made.session.runtime._guard.raises = False
+            made.fly(3.5)
+            assert made.outputs[-1].mode.armed
+            return made
 
-    yield make
-    for session in opened:
-        session.runtime.close()
-        session.recorder.close()
+        yield make
 
 
 @pytest.fixture(name="made")
@@ -131,8 +99,8 @@ def test_a_controller_that_fails_is_replaced_by_station_keeping_then_by_neutral(
     rest = made.fly(2.0)
     assert all(at_rest(tick) for tick in rest[60:])
     assert all(tick.mode.armed for tick in rest)
-    assert made.client.texts().count("Internal fault: controller: ZeroDivisionError") == 1
-    assert made.client.count("HEARTBEAT") >= 9
+    assert made.texts().count("Internal fault: controller: ZeroDivisionError") == 1
+    assert made.beats() >= 9
 
 
 def test_the_operator_tries_again_and_the_second_fault_disarms(made: Flight) -> None:
@@ -140,7 +108,7 @@ def test_the_operator_tries_again_and_the_second_fault_disarms(made: Flight) -> 
     made.session.parts.controller.step = broken  # type: ignore[method-assign]
     made.fly(0.5)
     made.session.parts.controller.step = sound  # type: ignore[method-assign]
-    made.client.command(mav.MAV_CMD_MISSION_START)
+    made.order(mav.MAV_CMD_MISSION_START)
     again = made.fly(1.0)
     assert again[-1].control is not None or any(tick.control is not None for tick in again[-5:])
     assert not any(tick.faults for tick in again)
@@ -148,12 +116,12 @@ def test_the_operator_tries_again_and_the_second_fault_disarms(made: Flight) -> 
     stopped = made.fly(0.3)
     assert not stopped[-1].mode.armed
     assert all(at_rest(tick) for tick in stopped[6:])
-    assert any("failed twice" in text for text in made.client.texts())
+    assert any("failed twice" in text for text in made.texts())
 
 
 @pytest.mark.parametrize("part", ["estimator", "commander", "allocation"])
 def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(made: Flight, part: str) -> None:
-    parts, beats = made.session.parts, made.client.count("HEARTBEAT")
+    parts, beats = made.session.parts, made.beats()
     method = {"estimator": "step", "commander": "step", "allocation": "pulses_us"}[part]
     target = parts.actuation.allocation if part == "allocation" else getattr(parts, part)
     sound = getattr(target, method)
@@ -161,26 +129,26 @@ def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(made: Flight, 
     after = made.fly(2.5)
     assert not after[-1].mode.armed
     assert all(at_rest(tick) for tick in after[10:])
-    assert made.client.count("HEARTBEAT") >= beats + 2
-    assert any(part in text for text in made.client.texts())
+    assert made.beats() >= beats + 2
+    assert any(part in text for text in made.texts())
     if part != "estimator":
-        assert after[-1].nav is not None and after[-1].nav.t_us == made.t_us
+        assert after[-1].nav is not None and after[-1].nav.t_us == made.outputs[-1].t_us
     setattr(target, method, sound)
-    made.client.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    made.order(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
     assert not made.fly(0.1)[-1].mode.armed
-    assert any("Arming denied" in text and "internal fault" in text for text in made.client.texts())
+    assert any("Arming denied" in text and "internal fault" in text for text in made.texts())
 
 
 def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(made: Flight) -> None:
     made.session.parts.commander.change_speed = broken  # type: ignore[method-assign]
     for _ in range(3):
-        made.client.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1.0, 0.2)
+        made.order(mav.MAV_CMD_DO_CHANGE_SPEED, 1.0, 0.2)
         made.fly(0.3)
     acks = [m.result for m in made.client.inbox if m.get_type() == "COMMAND_ACK" and m.command == 178]
     assert acks == [mav.MAV_RESULT_FAILED] * 3
     assert made.outputs[-1].mode.armed
     assert made.outputs[-1].control is not None or any(tick.control is not None for tick in made.outputs[-5:])
-    assert any("message" in text for text in made.client.texts())
+    assert any("message" in text for text in made.texts())
 
 
 def test_telemetry_that_cannot_be_built_costs_that_message(made: Flight) -> None:
@@ -251,13 +219,13 @@ def test_sensors_that_disappear_are_said_and_come_back(made: Flight, error: Exce
     made.client.inbox.clear()
     after = made.fly(1.5)
     assert after[-1].mode.failsafes >> Failsafe.AHRS_STALE & 1
-    texts = made.client.texts()
+    texts = made.texts()
     assert sum(text.startswith("Sensors failed") for text in texts) == 1
-    assert made.client.count("HEARTBEAT") >= 1
+    assert made.beats() >= 1
     device.failing.clear()
     made.fly(2.0)
-    assert "Sensors: working again" in made.client.texts()
-    assert made.outputs[-1].nav is not None and made.outputs[-1].nav.t_us == made.t_us
+    assert "Sensors: working again" in made.texts()
+    assert made.outputs[-1].nav is not None and made.outputs[-1].nav.t_us == made.outputs[-1].t_us
 
 
 def test_one_failed_thruster_write_is_said_and_the_next_succeeds(made: Flight) -> None:
@@ -266,7 +234,7 @@ def test_one_failed_thruster_write_is_said_and_the_next_succeeds(made: Flight) -
     device.failing.clear()
     after = made.fly(1.0)
     assert all(tick.mode.armed for tick in after)
-    assert sum(text.startswith("Thrusters failed") for text in made.client.texts()) == 1
+    assert sum(text.startswith("Thrusters failed") for text in made.texts()) == 1
     assert not any(tick.mode.failsafes >> Failsafe.THRUSTER & 1 for tick in after)
 
 
@@ -329,7 +297,7 @@ def test_what_the_optimiser_fails_to_solve_is_told_saved_and_solved_again(
     after = made.fly(1.5)
     assert {tick.control.status.fallback for tick in during[5:] if tick.control} == {Fallback.SHIFTED_PLAN}
     assert {tick.control.status.fallback for tick in after[10:] if tick.control} == {Fallback.NONE}
-    texts = [text for text in made.client.texts() if text.startswith("Controller")]
+    texts = [text for text in made.texts() if text.startswith("Controller")]
     assert texts == ["Controller: no solution, last plan goes on", "Controller has solutions again"]
     made.session.recorder.close()
     asked = [program for tick in during if tick.control for program in tick.control.unsolved]

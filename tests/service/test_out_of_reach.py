@@ -14,10 +14,9 @@ from autopilot.mavlink.api import FlightMode
 from autopilot.mission.items import GoTo
 from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
-from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import open_sitl
 from tests.plan_items import local, nav, plain, tank, waypoint
 from tests.service.commander_bench import OK, Bench
+from tests.system.system_harness import sessions
 
 SCENARIO = """
 [scenario]
@@ -56,12 +55,11 @@ def flown(tmp_path: Path, params: dict[str, float], duration_s: float) -> tuple[
     (tmp_path / "stream.toml").write_text(SCENARIO)
     (tmp_path / "plan.mission.toml").write_text(PLAN)
     outputs: list[Outputs] = []
-    given = {"scenario": str(tmp_path / "stream.toml"), "state_dir": str(tmp_path / "state"), "speed": 0.0}
-    gathered = gather(sitl_defaults(0), {**given, "log": str(tmp_path / "run.mcap"), "start": True}, {})
-    gathered.put("duration", duration_s, "test")
-    gathered.put("connect", (), "test")
-    session = open_sitl(gathered, params, on_tick=outputs.append)
-    session.run(stop=lambda: bool(outputs) and outputs[-1].progress.state is ProgressState.COMPLETE)
+    with sessions(tmp_path) as session:
+        session(
+            str(tmp_path / "stream.toml"), start=True, duration=duration_s, log=tmp_path / "run.mcap", params=params,
+            on_tick=outputs.append,
+        ).run(stop=lambda: bool(outputs) and outputs[-1].progress.state is ProgressState.COMPLETE)  # fmt: skip
     return [event.text for out in outputs for event in out.events], outputs[-1]
 
 

@@ -17,7 +17,7 @@ from tests.hostile_numbers import HOSTILE
 
 FLOWS: tuple[CurrentField, ...] = (
     Uniform(velocity_m_s=(0.2, -0.1, 0.03)),
-    Uniform(tide_m_s=(0.1, 0.2, -0.05), tide_period_s=7.0),
+    Uniform(velocity_m_s=(0.0, 0.0, 0.0), tide_m_s=(0.1, 0.2, -0.05), tide_period_s=7.0),
     TankJet(),
     Vortex(circulation_m2_s=1.5, core_m=0.4),
     Shear(shear_1_s=0.3, speed_m_s=0.1),

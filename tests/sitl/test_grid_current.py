@@ -11,11 +11,11 @@ from scipy.io import netcdf_file
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
-from autopilot.sitl.current_fields import current_field
+from autopilot.sitl.current_fields import GridCurrent, current_field
 from autopilot.sitl.grid_current import Grid, GridField, read_grid
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.scenario_tables import GridCurrent, Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 RNG = np.random.default_rng(3)
 AXES = ((0.0, 10.0, 25.0), (0.0, 2.0), (-2.0, -0.5, 1.0, 2.5), (-1.0, 0.0, 2.0))

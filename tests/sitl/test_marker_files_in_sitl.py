@@ -9,11 +9,11 @@ import pytest
 from sensor_helpers import CAMERA, FLOOR_M, SCENARIO, floor, height, truth_at
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.flat_port import FlatPort
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import ID_SPAN
 from autopilot.core.samples import CameraFrame
-from autopilot.core.vehicle import Port
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera_sensor import SimCamera, true_camera
@@ -119,7 +119,7 @@ def test_a_scenario_names_the_file_beside_it(tmp_path: Path) -> None:
 
 def corner_errors(told: str, height_m: float) -> FloatArray:
     """Detected minus projected corners in pictures through a pane 50 mm before the lens."""
-    look = ImageModel(port=Port(distance_m=0.05, thickness_m=0.006))
+    look = ImageModel(port=FlatPort(distance_m=0.05, thickness_m=0.006))
     true = true_camera(CAMERA, look, LaserSensor())
     pos, rpy = np.array([0.3, -0.2, height(height_m)]), np.array([0.02, -0.01, 0.7])
     frame = CameraFrame(t_us=0, image_bgr=SimCamera(true, floor(), look, 1).render(truth_at(tuple(pos), tuple(rpy)), 0))

@@ -204,7 +204,7 @@ def test_crossing_a_shear_flow_accelerates_the_added_mass() -> None:
 def test_a_changing_tide_drags_the_hull_along() -> None:
     """A neutral hull without drag takes part in the acceleration of uniform water: v_r stays 0."""
     vehicle = body_with(buoyancy_excess_n=0.0, **NO_DRAG)
-    tide = Uniform(tide_m_s=(0.3, 0.1, 0.0), tide_period_s=40.0)
+    tide = Uniform(velocity_m_s=(0.0, 0.0, 0.0), tide_m_s=(0.3, 0.1, 0.0), tide_period_s=40.0)
     hull = plant(vehicle, SimulatedWaters(current=tide), start_rpy_rad=(0.0, 0.0, 1.0))
     hull.advance(10_000_000, NEUTRAL)
     np.testing.assert_allclose(hull.truth.current_ned_m_s, [0.3, 0.1, 0.0], atol=1e-12)

@@ -51,7 +51,7 @@ class RunningService:
 
 @contextlib.contextmanager
 def sessions(folder: Path) -> Iterator[OpenSession]:
-    """Makes sessions with nothing shared: no sockets, a state folder of their own, lockstep."""
+    """Makes sessions with nothing shared: a state folder of their own, lockstep, no sockets but ``connections``."""
     opened: list[SitlSession] = []
 
     def make(
@@ -60,10 +60,12 @@ def sessions(folder: Path) -> Iterator[OpenSession]:
         peers: Sequence[Any] = (),
         params: dict[str, float] | None = None,
         log: Path | None = None,
+        connections: Sequence[str] = (),
         on_tick: Callable[[Outputs], None] = lambda _: None,
         **given: Any,
     ) -> SitlSession:
         settings = flight_settings(folder / "state", {"scenario": scenario, **given})
+        settings.put("connect", tuple(connections), "test")
         settings.put("log", None if log is None else str(log), "test")
         made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
         opened.append(made)

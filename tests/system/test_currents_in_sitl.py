@@ -1,16 +1,16 @@
 """Current maps end to end: a gridded world, a controller that is told another one, refusals at the start, the log."""
 
-from collections.abc import Callable
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
+from system_harness import OpenSession
 
 from autopilot.analysis.current_forecasts import compare_forecasts
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
 
 NORTH, EAST = np.linspace(-3.0, 3.0, 13), np.linspace(-2.0, 2.0, 9)
@@ -37,31 +37,15 @@ def _write(path: Path, north_m_s: float, scale: float = 1.0) -> None:
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Callable[..., SitlSession]:
+def opened(tmp_path: Path, session: OpenSession) -> OpenSession:
     _write(tmp_path / "truth.npz", 0.1)
     _write(tmp_path / "forecast.npz", 0.3)
     _write(tmp_path / "small.npz", 0.1, 0.5)
     (tmp_path / "gridded.toml").write_text(SCENARIO)
-
-    def make(**given: object) -> SitlSession:
-        settings = {
-            "scenario": str(tmp_path / "gridded.toml"),
-            "state_dir": str(tmp_path / "state"),
-            "log": str(tmp_path / "run.mcap"),
-            "speed": 0.0,
-            "duration": 2.0,
-            **given,
-        }
-        gathered = gather(sitl_defaults(0), settings, {})
-        gathered.put("connect", (), "test")
-        return open_sitl(gathered, {})
-
-    return make
+    return functools.partial(session, str(tmp_path / "gridded.toml"), log=tmp_path / "run.mcap", duration=2.0)
 
 
-def test_truth_and_map_are_two_files_and_the_log_names_the_map(
-    tmp_path: Path, opened: Callable[..., SitlSession]
-) -> None:
+def test_truth_and_map_are_two_files_and_the_log_names_the_map(tmp_path: Path, opened: OpenSession) -> None:
     session = opened()
     session.run()
     log = open_log(tmp_path / "run.mcap")
@@ -74,7 +58,7 @@ def test_truth_and_map_are_two_files_and_the_log_names_the_map(
 
 
 def test_what_does_not_fit_is_refused_before_anything_runs(
-    tmp_path: Path, opened: Callable[..., SitlSession], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, opened: OpenSession, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A map that is too small for the plan forbids only to fly it: without --start it is a warning."""
     plan = str(scenario_path("paper-tank").parent / "paper.plan")

@@ -4,9 +4,8 @@ import random
 from pathlib import Path
 
 import pytest
+from system_harness import OpenSession
 
-from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import open_sitl
 from tests.bench.sensor_faults import FaultFlight, fly_fault
 
 WAVES = """
@@ -23,34 +22,33 @@ thruster = "lateral"
 FALSE = ("Command latency", "Accelerometer", "Failsafe", "Position reset", "Poses wrong", "Thruster")
 
 
-def _texts(tmp_path: Path, vehicle: str, world: str) -> list[str]:
+def _texts(session: OpenSession, tmp_path: Path, vehicle: str, world: str) -> list[str]:
     """What the operator reads in a minute of a free vehicle in the pool."""
     shipped = Path("sitl/scenarios")
     scenario, plan = ((shipped / name).read_text() for name in ("pool.toml", "pool.mission.toml"))
     free = scenario.replace("held = true", "held = false").replace('model = "bluerov2"', f'model = "{vehicle}"')
     (tmp_path / "waves.toml").write_text(free + world)
     (tmp_path / "pool.mission.toml").write_text(plan)
-    given = {"scenario": str(tmp_path / "waves.toml"), "state_dir": str(tmp_path / "state"), "speed": 0.0}
-    more = {"log": str(tmp_path / "run.mcap"), "start": True, "sensors": "pose"}
-    gathered = gather(sitl_defaults(0), {**given, **more}, {})
-    gathered.put("duration", 60.0, "test")
-    gathered.put("connect", (), "test")
     texts: list[str] = []
-    session = open_sitl(gathered, {}, on_tick=lambda out: texts.extend(event.text for event in out.events))
-    session.run()
+    session(
+        str(tmp_path / "waves.toml"), sensors="pose", start=True, duration=60.0, log=tmp_path / "run.mcap",
+        on_tick=lambda out: texts.extend(event.text for event in out.events),
+    ).run()  # fmt: skip
     return texts
 
 
 @pytest.mark.parametrize(("vehicle", "height_m", "period_s"), [("bluerov2", 0.1, 3.0), ("lbv150", 0.1, 3.0)])
-def test_waves_are_taken_for_no_fault(tmp_path: Path, vehicle: str, height_m: float, period_s: float) -> None:
+def test_waves_are_taken_for_no_fault(
+    session: OpenSession, tmp_path: Path, vehicle: str, height_m: float, period_s: float
+) -> None:
     """Not with the period of a BlueROV2's pitch: docs/hardware.md, Limits."""
-    texts = _texts(tmp_path, vehicle, WAVES.format(height_m=height_m, period_s=period_s))
+    texts = _texts(session, tmp_path, vehicle, WAVES.format(height_m=height_m, period_s=period_s))
     assert not [text for text in texts if text.startswith(FALSE)], texts
     assert "Reached item 0" in texts
 
 
-def test_waves_hide_no_dead_thruster(tmp_path: Path) -> None:
-    texts = _texts(tmp_path, "lbv150", WAVES.format(height_m=0.07, period_s=5.0) + LOSS)
+def test_waves_hide_no_dead_thruster(session: OpenSession, tmp_path: Path) -> None:
+    texts = _texts(session, tmp_path, "lbv150", WAVES.format(height_m=0.07, period_s=5.0) + LOSS)
     named = {" ".join(text.split()[:2]) for text in texts if text.startswith("Thruster")}
     assert named == {"Thruster lateral"}, texts
 

@@ -7,7 +7,7 @@ import pytest
 from wire_client import ArmingSchedule
 
 from autopilot.log.reader import open_log
-from autopilot.run.config import flight_settings, gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 
 
@@ -33,10 +33,10 @@ def test_old_logs_make_room_for_a_new_one_which_says_so(tmp_path: Path) -> None:
     old = tmp_path / "logs" / "2020-02-02" / "10_20_30.mcap"
     old.parent.mkdir(parents=True)
     old.write_bytes(bytes(2_000_000))
-    settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "duration": 3.0}, {})
-    places = {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}
-    for name, value in {**places, "log_quota_mb": 1.0}.items():
-        settings.put(name, value, "test")
+    settings = flight_settings(
+        tmp_path / "state",
+        {"sensors": "pose", "duration": 3.0, "log_dir": str(tmp_path / "logs"), "log_quota_mb": 1.0},
+    )
     open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[ArmingSchedule({2.0: 1})]).run()
     (new,) = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert new != old

@@ -9,11 +9,9 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.client_session import VehicleConnection
-from autopilot.client.plan_client import same_on_the_wire
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.paper import paper_plan
 from autopilot.run.children import Child, autopilot_command, free_port
-from autopilot.run.plans_format import decode, plan_item
 
 
 class Vehicle:
@@ -101,24 +99,3 @@ def test_a_killed_service_comes_up_with_what_it_had(tmp_path: Path) -> None:
     left = {path.name for path in (tmp_path / "state").rglob("*") if path.is_file()}
     kept = {"plans.json", "plans.json.previous", "parameters.params", "parameters.params.previous"}
     assert left - kept <= {"plans.json.new"}, "a write that the second kill broke off, and nothing of the first"
-
-
-def test_what_is_accepted_is_on_disk(tmp_path: Path) -> None:
-    path = tmp_path / "state" / "sitl-0" / "plans.json"
-    with vehicle(tmp_path) as now:
-        for laps in range(1, 8):
-            plan = paper_plan(laps=laps)
-            now.session.upload(PlanKind.MISSION, plan.mission)
-            stored = decode(path.read_bytes()).mission
-            assert same_on_the_wire(tuple(plan_item(item) for item in stored), plan.mission)
-
-
-def test_a_damaged_file_is_said_and_no_plan_is_shown(tmp_path: Path) -> None:
-    with vehicle(tmp_path) as before:
-        before.session.upload(PlanKind.FENCE, paper_plan().fence)
-        path = tmp_path / "state" / "sitl-0" / "plans.json"
-    path.write_bytes(path.read_bytes()[:-40])
-    path.with_name("plans.json.previous").unlink(missing_ok=True)
-    with vehicle(tmp_path) as after:
-        assert after.session.download(PlanKind.FENCE) == ()
-        assert path.with_name("plans.json.damaged").exists()

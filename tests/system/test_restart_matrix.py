@@ -1,7 +1,7 @@
 """State, medium and end: what a vehicle has acknowledged holds after it, and nothing recorded before is obeyed.
 
-The service runs in this process in its own time, on a real folder; a kill is a copy of that folder at that moment. The
-last test is the process itself.
+The service runs in this process in its own time, on a real folder; a kill is a copy of that folder at that moment.
+Killed processes: tests/system/test_restart.py and test_restart_armed.py.
 """
 
 from __future__ import annotations
@@ -11,10 +11,7 @@ import errno
 import re
 import shutil
 import struct
-import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from broken_disks import Disk
@@ -22,13 +19,9 @@ from pymavlink.dialects.v20 import development as mav
 from test_restart import rally
 from wire_client import Harbour, WireClient
 
-from autopilot.bench.live_service import Station
-from autopilot.core.errors import LogError
 from autopilot.core.plan import PlanKind
-from autopilot.log.reader import open_log
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.paper import paper_plan
-from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
 from autopilot.run.config import flight_settings
 from autopilot.run.signing_files import EPOCH_S, SigningFiles
 from autopilot.run.sitl_session import open_sitl
@@ -181,84 +174,3 @@ def accept(vehicle: Vehicle, number: int) -> None:
     vehicle.client.send(mav.MAVLink_param_set_message(1, 1, b"STATE_ACCEPT", sent, mav.MAV_PARAM_TYPE_INT32))
     vehicle.run(0.1)
     assert vehicle.session.parts.params["STATE_ACCEPT"] == number
-
-
-# The process
-
-
-def answered(child: Child, station: Station, codec: Any, ask: Any, wanted: Any) -> Any:
-    """The answer to a signed request that is made again and again, its time by the clock."""
-    asked_s, begin_s = 0.0, time.monotonic()
-    while time.monotonic() - begin_s < 90.0:
-        assert child.process.poll() is None
-        if time.monotonic() - asked_s > 0.3:
-            asked_s = time.monotonic()
-            codec.signing.timestamp = round((time.time() - EPOCH_S) * 1e5)
-            station.socket.send(ask.pack(codec))
-        for message in station.receive(0.05):
-            if wanted(message):
-                return message
-    raise AssertionError("it never came")
-
-
-@contextlib.contextmanager
-def running(folder: Path, name: str) -> Iterator[tuple[Child, Station]]:
-    port = free_port()
-    common = ("sitl", "open-water", "--quiet", "--sensors", "pose", "--speed", "1", "--keep-plans")
-    command = autopilot_command(*common, "--connect", f"udpin:{LOCAL}:{port}", "--log", str(folder / name))
-    child = Child(command, {"AUTOPILOT_STATE_DIR": str(folder / "state")})
-    try:
-        yield child, Station.udp(port, 255)
-    finally:
-        child.process.kill()
-        child.process.wait()
-
-
-def beats_armed(message: Any) -> bool:
-    return message.get_type() == "HEARTBEAT" and bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
-
-
-def has_log(path: Path) -> bool:
-    """Whether something is on disk that can be read."""
-    try:
-        return bool(open_log(path).topics)
-    except LogError:
-        return False
-
-
-def test_a_recorded_arm_is_not_obeyed_by_the_service_that_comes_after(tmp_path: Path) -> None:
-    SigningFiles(tmp_path / "state" / "sitl-0").write_key(KEY)
-    codec = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-    codec.signing.secret_key, codec.signing.sign_outgoing = KEY, True
-    recorded: list[bytes] = []
-
-    class Arm:
-        """Every one that is sent is recorded, as by somebody on the wire."""
-
-        def pack(self, sender: Any) -> bytes:
-            data = bytes(mav.MAVLink_command_long_message(1, 1, ARM, 0, 1, 0, 0, 0, 0, 0, 0).pack(sender))
-            recorded.append(data)
-            return data
-
-    with running(tmp_path, "first.mcap") as (child, station):
-        answered(child, station, codec, Arm(), beats_armed)
-        beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-        while not has_log(tmp_path / "first.mcap"):
-            answered(child, station, codec, beat, beats_armed)
-        child.process.kill()
-        child.process.wait(60.0)
-    assert open_log(tmp_path / "first.mcap").topics
-    with running(tmp_path, "second.mcap") as (child, station):
-        check = mav.MAVLink_command_long_message(1, 1, 401, 0, 0, 0, 0, 0, 0, 0, 0)
-        done = (ACCEPTED, mav.MAV_RESULT_DENIED)
-        answered(child, station, codec, check, lambda m: m.get_type() == "COMMAND_ACK" and m.result in done)
-        armed_before = list(recorded)
-        beats = 0
-        while beats < 4:
-            for data in armed_before:
-                station.socket.send(data)
-            for message in station.receive(0.2):
-                assert not beats_armed(message), "a recorded command was obeyed"
-                beats += message.get_type() == "HEARTBEAT"
-            assert child.process.poll() is None
-        answered(child, station, codec, Arm(), beats_armed)

@@ -4,12 +4,12 @@ import os
 import pty
 import tty
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
+from system_harness import OpenSession
+from wire_client import Harbour
+
 from autopilot.mavlink.dialect import mav
-from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import open_sitl
 
 BYTES_PER_TICK = 57.6
 TICKS_AT_MOST = 30
@@ -41,21 +41,17 @@ class Line:
         self.codec.seq = (self.codec.seq + 1) & 0xFF
 
 
-def test_commands_are_answered_though_everything_is_asked_for_at_once(tmp_path: Path) -> None:
+def test_commands_are_answered_though_everything_is_asked_for_at_once(session: OpenSession) -> None:
     """Streams at 50 Hz, the list of parameters, a plan's download, and commands in between."""
     far, near = pty.openpty()
     tty.setraw(far)
     os.set_blocking(far, False)
-    settings = gather(sitl_defaults(0), {"scenario": "paper-tank", "speed": 1.0, "sensors": "pose"}, {})
-    settings.put("connect", (f"{os.ttyname(near)}:57600",), "test")
-    settings.put("state_dir", str(tmp_path), "test")
-    settings.put("log_dir", str(tmp_path / "logs"), "test")
-    session = open_sitl(settings, {}, log=False)
+    harbour = Harbour(session(sensors="pose", speed=1.0, connections=(f"{os.ttyname(near)}:57600",)))
     line, beats, waits, values = Line(far), list[int](), list[int](), set[int]()
     try:
         asked: int | None = None
         for tick in range(1, 1200):
-            session.runtime.tick(10_000 * tick)
+            harbour.tick()
             for message in line.take():
                 if message.get_type() == "HEARTBEAT":
                     beats.append(tick)
@@ -75,7 +71,7 @@ def test_commands_are_answered_though_everything_is_asked_for_at_once(tmp_path: 
                 asked = tick
             assert asked is None or tick - asked <= TICKS_AT_MOST
     finally:
-        session.runtime.close()
+        harbour.session.runtime.close()
         os.close(far)
         os.close(near)
     assert len(waits) >= 20 and len(values) > 50

@@ -1,17 +1,16 @@
 """The marker camera is tilted in flight: the rendered pictures are of another direction, the position stays right."""
 
 import math
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mav
+from system_harness import OpenSession
+from wire_client import ArmingSchedule
 
 from autopilot.core.messages import NavHealth, Outputs
-from autopilot.run.config import flight_settings
-from autopilot.run.sitl_session import open_sitl
 
 TILT = """
 [[payload]]
@@ -27,47 +26,38 @@ camera_deg = -90.0
 AWAY_US, BACK_US = 6_000_000, 9_000_000
 
 
-class Tilter:
+class Tilter(ArmingSchedule):
     """A client that tilts the camera and back."""
 
     def __init__(self) -> None:
-        self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+        super().__init__({}, {1e-6 * AWAY_US: lambda: self._tilt(-75.0), 1e-6 * BACK_US: lambda: self._tilt(-90.0)})
 
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        angle_deg = {AWAY_US: -75.0, BACK_US: -90.0}.get(t_us)
-        if angle_deg is None:
-            return []
-        nan = math.nan
-        params = (angle_deg, nan, nan, nan, 0.0, 0.0, 0.0)
-        message = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, 0, *params)
-        return [bytes(message.pack(self._mav))]
+    def _tilt(self, angle_deg: float) -> None:
+        params = (angle_deg, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0)
+        self.send(mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, 0, *params))
 
 
 @pytest.mark.parametrize("sensors", ["camera", "pose"])
-def test_the_position_stays_right_while_the_camera_looks_elsewhere(tmp_path: Path, sensors: str) -> None:
+def test_the_position_stays_right_while_the_camera_looks_elsewhere(
+    session: OpenSession, tmp_path: Path, sensors: str
+) -> None:
     shipped = (resources.files("autopilot") / "data/vehicles/lbv150.toml").read_text()
     vehicle = tmp_path / "tilting.toml"
     vehicle.write_text(shipped.replace("\n[sources]\n", TILT))
-    given = {"scenario": "paper-tank-still", "vehicle": str(vehicle), "sensors": sensors, "duration": 14.0}
     errors: list[tuple[float, float, NavHealth]] = []
     fixes: list[int] = []
     texts: list[str] = []
 
     def look(outputs: Outputs) -> None:
-        nav, truth = outputs.nav, session.device.truth
+        nav, truth = outputs.nav, run.device.truth
         fixes.extend(aid.t_us for aid in outputs.aids if aid.sensor == "markers" and aid.fused)
         texts.extend(event.text for event in outputs.events)
         if nav is not None:
             errors.append((1e-6 * nav.t_us, float(np.abs(nav.pos_ned_m - truth.pos_ned_m).max()), nav.health))
 
-    session = open_sitl(
-        flight_settings(tmp_path, {**given, "speed": 0.0, "seed": 3, "start": True}),
-        {},
-        log=False,
-        on_tick=look,
-        peers=(Tilter(),),
-    )
-    session.run()
+    given = {"vehicle": str(vehicle), "sensors": sensors, "duration": 14.0, "seed": 3, "start": True}
+    run = session("paper-tank-still", on_tick=look, peers=(Tilter(),), **given)
+    run.run()
     assert "Camera at -75 deg, markers need -90: tilt it" in texts
     assert "Camera is tilted back: markers are used again" in texts
     assert not [t_us for t_us in fixes if AWAY_US + 50_000 < t_us < BACK_US]

@@ -7,12 +7,14 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
+from system_harness import OpenSession
+from wire_client import Harbour, hear_all
 
 from autopilot.bench.live_service import Station, waypoint
 from autopilot.core.background import Cancel
@@ -28,57 +30,24 @@ from autopilot.drivers.udp import reach_of
 from autopilot.log.reader import open_log
 from autopilot.run.children import free_port
 from autopilot.run.clocks import LockstepClock
-from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.recorder import NullRecorder
 from autopilot.run.runtime import Runtime
-from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.run.sitl_session import SitlSession
 from autopilot.run.transport import Transport
 
 LOCAL = "127.0.0.1"
 PATIENCE_S = 60.0
 """For threads: only a test that fails waits so long."""
 
-Open = Callable[..., SitlSession]
-
 
 @pytest.fixture(name="opened")
-def opened_fixture(tmp_path: Path) -> Iterator[Open]:
+def opened_fixture(session: OpenSession) -> OpenSession:
     """Sessions on real links."""
-    made: list[SitlSession] = []
 
-    def make(*connections: str, speed: float = 0.0, log: Path | None = None, sensors: str = "pose") -> SitlSession:
-        scenario = "open-water" if sensors == "pose" else "paper-tank"
-        given = {"scenario": scenario, "speed": speed, "sensors": sensors, "connect": connections}
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("state_dir", str(tmp_path / "state"), "test")
-        settings.put("log", None if log is None else str(log), "test")
-        made.append(open_sitl(settings, {}, log=log is not None))
-        return made[-1]
+    def make(*connections: str, **given: Any) -> SitlSession:
+        return session(connections=connections, **{"scenario": "open-water", "sensors": "pose", **given})
 
-    yield make
-    for session in made:
-        session.runtime.close()
-        session.recorder.close()
-
-
-class Ticks:
-    """Lets a session's time go on."""
-
-    def __init__(self, runtime: Runtime) -> None:
-        self._runtime = runtime
-        self.count = 0
-
-    def __call__(self, count: int = 1) -> None:
-        for _ in range(count):
-            self.count += 1
-            self._runtime.tick(self.count * TICK_US)
-
-
-def drain(station: Station) -> list[Any]:
-    found: list[Any] = []
-    while more := station.receive(0.0):
-        found += more
-    return found
+    return make
 
 
 class TurnClock(LockstepClock):
@@ -105,7 +74,7 @@ class Frames(NullRecorder):
 
 
 @pytest.mark.parametrize("kind", ["udpin", "udpout", "tcpin"])
-def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str) -> None:
+def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: OpenSession, kind: str) -> None:
     """At revision 0501193 every item cost a tick each way."""
     session = opened(f"udpin:{LOCAL}:{free_port(socket.SOCK_DGRAM)}", speed=1.0)
     count = 500 if kind == "udpin" else 120
@@ -127,7 +96,7 @@ def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str)
     def client() -> bool:
         """Answer what is there; whether there was anything to answer."""
         before = len(sent) + len(got)
-        for message in drain(station):
+        for message in hear_all(station):
             if message.get_type() == "MISSION_REQUEST_INT":
                 sent.append(message.seq)
                 station.send(waypoint(message.seq, count))
@@ -141,22 +110,22 @@ def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str)
 
     frames = Frames()
     runtime = Runtime(session.service, session.device, None, [link], frames, TurnClock(client), paced=True)
-    ticks = Ticks(runtime)
-    ticks(5)
+    harbour = Harbour(session, runtime)
+    harbour.run(0.05)
     station.send(mav.MAVLink_mission_count_message(1, 1, count, 0))
-    while len(sent) < count and ticks.count < 300:
-        ticks()
+    while len(sent) < count and harbour.ticks < 300:
+        harbour.tick()
     assert sent == list(range(count))
-    assert ticks.count < 100
+    assert harbour.ticks < 100
     while not acks:  # the check of the plan takes its time beside the loop
-        ticks()
+        harbour.tick()
     assert acks == [mav.MAV_MISSION_ACCEPTED]
-    begin = ticks.count
+    begin = harbour.ticks
     station.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
-    while len(got) <= count and ticks.count < begin + 300:
-        ticks()
+    while len(got) <= count and harbour.ticks < begin + 300:
+        harbour.tick()
     assert got == list(range(-1, count))
-    assert ticks.count < begin + 100
+    assert harbour.ticks < begin + 100
 
     def logged(found: list[MavlinkFrame], message_id: int) -> int:
         number = message_id.to_bytes(3, "little")
@@ -171,7 +140,7 @@ def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str)
 
 
 @pytest.mark.parametrize("kind", ["udpin", "tcpin", "serial"])
-def test_a_flood_is_named_to_the_others_and_they_are_served(opened: Open, kind: str, tmp_path: Path) -> None:
+def test_a_flood_is_named_to_the_others_and_they_are_served(opened: OpenSession, kind: str, tmp_path: Path) -> None:
     port, tcp, log = free_port(), free_port(socket.SOCK_STREAM), tmp_path / "flood.mcap"
     connections, close = [f"udpin:{LOCAL}:{port}", f"tcpin:{LOCAL}:{tcp}"], []
     if kind == "serial":
@@ -181,7 +150,7 @@ def test_a_flood_is_named_to_the_others_and_they_are_served(opened: Open, kind: 
         connections.append(f"{os.ttyname(line)}:921600")
         close = [device, line]
     session = opened(*connections, log=log)
-    ticks, station = Ticks(session.runtime), Station.udp(port)
+    harbour, station = Harbour(session), Station.udp(port)
     rng = random.Random(3)
     if kind == "serial":
         name = os.ttyname(line)
@@ -201,10 +170,10 @@ def test_a_flood_is_named_to_the_others_and_they_are_served(opened: Open, kind: 
             except BlockingIOError:
                 continue
         station.send(mav.MAVLink_ping_message(n, n, 0, 0))
-        ticks()
-        answered += sum(message.get_type() == "PING" for message in drain(station))
-    ticks(5)
-    answered += sum(message.get_type() == "PING" for message in drain(station))
+        harbour.tick()
+        answered += sum(message.get_type() == "PING" for message in hear_all(station))
+    harbour.run(0.05)
+    answered += sum(message.get_type() == "PING" for message in hear_all(station))
     assert answered == 150
     named = [text for text in station.texts if text == f"{name} floods its link: throttled"]
     assert len(named) == 1, station.texts
@@ -216,13 +185,13 @@ def test_a_flood_is_named_to_the_others_and_they_are_served(opened: Open, kind: 
         os.close(number)
 
 
-def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: Open) -> None:
+def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: OpenSession) -> None:
     """The work ends when the ground station has heard the vehicle twice while the loop was waiting for it."""
     session = opened(f"udpin:{LOCAL}:{(port := free_port())}")
-    ticks, station = Ticks(session.runtime), Station.udp(port)
+    harbour, station = Harbour(session), Station.udp(port)
     station.beat()
-    ticks(3)
-    drain(station)
+    harbour.run(0.03)
+    hear_all(station)
     heard, stop = threading.Event(), threading.Event()
 
     def listen() -> None:
@@ -248,7 +217,7 @@ def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: Open) -> None:
     assert answer is not None and answer.get()
 
 
-def test_a_serial_link_that_goes_is_named_once_and_comes_back(opened: Open, tmp_path: Path) -> None:
+def test_a_serial_link_that_goes_is_named_once_and_comes_back(opened: OpenSession, tmp_path: Path) -> None:
     name = tmp_path / "ttyROV"
 
     def plug() -> tuple[int, int]:
@@ -261,25 +230,25 @@ def test_a_serial_link_that_goes_is_named_once_and_comes_back(opened: Open, tmp_
     device, line = plug()
     session = opened(f"udpin:{LOCAL}:{(port := free_port())}", f"{name}:115200")
     os.close(line)
-    ticks, station = Ticks(session.runtime), Station.udp(port)
+    harbour, station = Harbour(session), Station.udp(port)
     station.beat()
-    ticks(30)
+    harbour.run(0.3)
     os.close(device)
     name.unlink()
-    ticks(200)
-    drain(station)
+    harbour.run(2)
+    hear_all(station)
     told = [text for text in station.texts if "device gone" in text]
     assert len(told) == 1
     device, line = plug()
-    ticks(250)
-    drain(station)
+    harbour.run(2.5)
+    hear_all(station)
     assert len(os.read(device, 4096)) > 0
     assert sum("device gone" in text for text in station.texts) == 1
     os.close(line)
     os.close(device)
 
 
-def test_a_stranger_is_not_heard_on_udpout(opened: Open) -> None:
+def test_a_stranger_is_not_heard_on_udpout(opened: OpenSession) -> None:
     """A forced disarm from another address than the target's is no command."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target,
@@ -292,8 +261,8 @@ def test_a_stranger_is_not_heard_on_udpout(opened: Open) -> None:
         except OSError:
             pytest.skip("one loopback address only")
         session = opened(f"udpout:{LOCAL}:{target.getsockname()[1]}")
-        ticks = Ticks(session.runtime)
-        ticks(2)
+        harbour = Harbour(session)
+        harbour.run(0.02)
         _, vehicle = target.recvfrom(4096)
         assert vehicle[0] == LOCAL
         commands: dict[str, list[int]] = {}
@@ -301,8 +270,8 @@ def test_a_stranger_is_not_heard_on_udpout(opened: Open) -> None:
             own.connect(vehicle)
             station = Station(own)
             station.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
-            ticks(5)
-            commands[who] = [m.result for m in drain(station) if m.get_type() == "COMMAND_ACK"]
+            harbour.run(0.05)
+            commands[who] = [m.result for m in hear_all(station) if m.get_type() == "COMMAND_ACK"]
         assert commands == {"stranger": [], "target": [0]}
 
 
@@ -473,9 +442,9 @@ def test_a_link_that_gets_no_heartbeats_makes_none_due() -> None:
         assert not transport.beat_due
 
 
-def test_the_camera_s_heartbeat_does_not_wait_for_the_vehicle_s_clock(opened: Open) -> None:
+def test_the_camera_s_heartbeat_does_not_wait_for_the_vehicle_s_clock(opened: OpenSession) -> None:
     """A run that is slower than real time: each turn of waiting takes a second of it, and no vehicle time."""
-    session = opened(f"udpin:{LOCAL}:{free_port()}", sensors="camera")
+    session = opened(f"udpin:{LOCAL}:{free_port()}", scenario="paper-tank", sensors="camera")
     now_s = [0.0]
     sent: list[tuple[float, int]] = []
 

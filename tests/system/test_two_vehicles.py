@@ -9,7 +9,7 @@ import numpy as np
 from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 
 from autopilot.core.messages import Severity
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 SCENARIOS = Path(__file__).parents[2] / "sitl" / "scenarios"
@@ -48,33 +48,18 @@ def vehicle(folder: Path, instance: int, water: Water) -> SitlSession:
     ]
     (folder / "tank.toml").write_text("\n".join(lines), encoding="utf-8")
     (folder / "m.toml").write_text(HEAD + waypoint(*goal, accept_m=0.3), encoding="utf-8")
-    given = {
-        "scenario": str(folder / "tank.toml"),
-        "plan": str(folder / "m.toml"),
-        "speed": 0.0,
-        "sensors": "pose",
-        "start": True,
-        "state_dir": str(folder),
-    }
-    settings = gather(sitl_defaults(instance), given, {})
-    settings.put("connect", (), "test")
-    return open_sitl(settings, {}, instance=instance, log=False, peers=(water,))
+    given = {"scenario": str(folder / "tank.toml"), "plan": str(folder / "m.toml"), "sensors": "pose", "start": True}
+    return open_sitl(flight_settings(folder, given), {}, instance=instance, log=False, peers=(water,))
 
 
-def least_distance_m(folder: Path, *, hear: bool = True, seconds: float = 60.0) -> tuple[float, list[str]]:
+def least_distance_m(folder: Path) -> tuple[float, list[str]]:
     """How near the centres of two vehicles that cross come to each other, and what each said at its end."""
     waters = (Water(), Water())
-    if hear:
-        waters[0].other, waters[1].other = waters[1], waters[0]
-    else:
-        waters[0].other, waters[1].other = Water(), Water()
-    sessions = [
-        vehicle(folder / "a", 0, waters[0]),
-        vehicle(folder / "b", 1, waters[1]),
-    ]
+    waters[0].other, waters[1].other = waters[1], waters[0]
+    sessions = [vehicle(folder / name, number, waters[number]) for number, name in enumerate("ab")]
     least_m, said = np.inf, [list[str](), list[str]()]
     try:
-        for tick in range(1, round(seconds * 100)):
+        for tick in range(1, 6000):
             for number, session in enumerate(sessions):
                 outputs = session.runtime.tick(10_000 * tick)
                 said[number] += [event.text for event in outputs.events if event.severity <= Severity.INFO]

@@ -3,18 +3,16 @@
 import contextlib
 import random
 import socket
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
+from system_harness import OpenSession
+from wire_client import Harbour, hear_all
 
 from autopilot.bench.live_service import Station
-from autopilot.core.clock import TICK_US
 from autopilot.run.children import LOCAL, free_port
-from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import open_sitl
 
 CROWD = 26
 """Clients that want nothing: more than there are places on either port."""
@@ -24,24 +22,13 @@ SERVED = 30 * SECOND
 """So long a newcomer waits at most behind such a crowd (each of them has 1.5 s, or 5 s if it has said something)."""
 
 
-class Vehicle:
+class Vehicle(Harbour):
     """The service in simulated time on a UDP and a TCP port."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, session: OpenSession) -> None:
         self.ports = {"udp": free_port(), "tcp": free_port(socket.SOCK_STREAM)}
         links = (f"udpin:{LOCAL}:{self.ports['udp']}", f"tcpin:{LOCAL}:{self.ports['tcp']}")
-        settings = gather(
-            sitl_defaults(0), {"scenario": "open-water", "speed": 0.0, "sensors": "pose", "connect": links}, {}
-        )
-        settings.put("state_dir", str(folder), "test")
-        settings.put("log", None, "test")
-        self.session = open_sitl(settings, {}, log=False)
-        self.tick_count = 0
-
-    def tick(self) -> None:
-        """10 ms."""
-        self.tick_count += 1
-        self.session.runtime.tick(self.tick_count * TICK_US)
+        super().__init__(session("open-water", sensors="pose", connections=links))
 
     def connect(self, kind: str) -> socket.socket:
         """A client's socket, which waits for nothing."""
@@ -55,12 +42,8 @@ class Vehicle:
 
 
 @pytest.fixture(name="vehicle")
-def vehicle_fixture(tmp_path: Path) -> Iterator[Vehicle]:
-    """Closed at the end."""
-    made = Vehicle(tmp_path)
-    yield made
-    made.session.runtime.close()
-    made.session.recorder.close()
+def vehicle_fixture(session: OpenSession) -> Vehicle:
+    return Vehicle(session)
 
 
 class Bore:
@@ -84,13 +67,6 @@ def _heartbeat() -> Any:
     return mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
 
 
-def _hear(station: Station) -> list[Any]:
-    found: list[Any] = []
-    while more := station.receive(0.0):
-        found += more
-    return found
-
-
 def _read_away(station: Station) -> None:
     """What came is of no interest; it is read, as a station reads."""
     station.socket.setblocking(False)
@@ -107,7 +83,7 @@ def _until_served(vehicle: Vehicle, station: Station, meanwhile: Callable[[], No
             station.send(mav.MAVLink_ping_message(0, 1, 0, 0))
         meanwhile()
         vehicle.tick()
-        if any(message.get_type() == "PING" for message in _hear(station)):
+        if any(message.get_type() == "PING" for message in hear_all(station)):
             return ticks
     raise AssertionError(f"not served in {SERVED / SECOND:g} s")
 
@@ -123,7 +99,7 @@ def test_a_crowd_locks_nobody_out(vehicle: Vehicle, kind: str, sorts: tuple[str,
     def all_act() -> None:
         for bore in crowd:
             bore.act()
-        if vehicle.tick_count % SECOND == 0:
+        if vehicle.ticks % SECOND == 0:
             operator.beat()
             early.beat()
 
@@ -144,10 +120,10 @@ def test_a_crowd_locks_nobody_out(vehicle: Vehicle, kind: str, sorts: tuple[str,
         if n % 10 == 0:
             operator.send(mav.MAVLink_ping_message(0, n, 0, 0))
         vehicle.tick()
-        answers += sum(message.get_type() == "PING" for message in _hear(operator))
+        answers += sum(message.get_type() == "PING" for message in hear_all(operator))
     assert answers >= 49, "who is in control has been served all the time"
     said = [text for text in operator.texts if "place" in text or "turned away" in text]
-    assert 1 <= len(said) <= vehicle.tick_count / (5 * SECOND) + 1, said
+    assert 1 <= len(said) <= vehicle.ticks / (5 * SECOND) + 1, said
     for bore in crowd:
         bore.socket.close()
     for station in (operator, early, late):
@@ -160,7 +136,7 @@ def test_the_operator_comes_back_to_a_port_full_of_stations(vehicle: Vehicle, ki
     others = [Station(vehicle.connect(kind), sysid=100 + n) for n in range(17 if kind == "udp" else 9)]
 
     def all_beat() -> None:
-        if vehicle.tick_count % SECOND == 0:
+        if vehicle.ticks % SECOND == 0:
             for station in others:
                 station.beat()
         for station in others:
@@ -181,7 +157,7 @@ def test_the_operator_comes_back_to_a_port_full_of_stations(vehicle: Vehicle, ki
             newcomer.beat()
             operator.send(mav.MAVLink_ping_message(0, n, 0, 0))
         vehicle.tick()
-        answers += sum(message.get_type() == "PING" for message in _hear(operator))
+        answers += sum(message.get_type() == "PING" for message in hear_all(operator))
     assert answers >= 5
     operator.close()
     again = Station(vehicle.connect(kind), sysid=255)

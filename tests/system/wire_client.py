@@ -7,10 +7,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.bench.live_service import Station
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message, item_of
+from autopilot.run.runtime import Runtime
 from autopilot.run.sitl_session import SitlSession
 
 _CHUNK_CHARS = 50
@@ -89,16 +91,27 @@ class ArmingSchedule(WireClient):
         return [text for text in self._texts if text[2].startswith(start)]
 
 
+def hear_all(station: Station) -> list[Any]:
+    """What has come to a station on a socket."""
+    found: list[Any] = []
+    while more := station.receive(0.0):
+        found += more
+    return found
+
+
 class Harbour:
     """A session and the time in it."""
 
-    def __init__(self, session: SitlSession) -> None:
+    def __init__(self, session: SitlSession, runtime: Runtime | None = None) -> None:
+        """``runtime`` instead of the session's own."""
         self.session = session
-        self._tick = 0
+        self._runtime = runtime or session.runtime
+        self.ticks = 0
+        """So many so far."""
 
     def tick(self) -> Outputs:
-        self._tick += 1
-        return self.session.runtime.tick(self._tick * TICK_US)
+        self.ticks += 1
+        return self._runtime.tick(self.ticks * TICK_US)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 1e6 / TICK_US)):

@@ -1,9 +1,10 @@
 """What several modules show on the page."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from viewers import Stream, run
+from viewers import Run, Stream, run
 
 
 @pytest.fixture(scope="session")
@@ -23,3 +24,11 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
                 break
         made.end()
         return heard
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    """A run of the paper's mission, with the page."""
+    with run(tmp_path_factory.mktemp("flight"), "paper-tank", "--start", "--sensors", "pose") as made:
+        yield made
+        made.end()

@@ -1,14 +1,13 @@
 """The page for people who see little contrast, use no mouse, or hear the page: WCAG 2.2 AA where a machine can tell."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from browser_module import browser, needs_browser
 from scripted_page import module
-from viewers import Run, run
+from viewers import Run, press
 
 PAGE = Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view"
 TEXT, GRAPHIC = 4.5, 3.0
@@ -114,24 +113,11 @@ FOCUSED = """(() => {
 })()"""
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    with run(tmp_path_factory.mktemp("access"), "paper-tank", "--start", "--sensors", "pose") as made:
-        yield made
-        made.end()
-
-
 def opened(tab: Any, flight: Run) -> None:
     tab.open(f"http://127.0.0.1:{flight.port}/")
     tab.wait("document.getElementById('armed')?.textContent === 'armed'")
     tab.wait("document.querySelectorAll('#thrusters .bar').length === 4")
     tab.wait("document.querySelectorAll('#handles button').length > 0")
-
-
-def press(tab: Any, key: str, code: int = 0) -> None:
-    text = {"text": "\r"} if key == "Enter" else {"text": key} if len(key) == 1 else {}
-    tab.call("Input.dispatchKeyEvent", type="keyDown", key=key, windowsVirtualKeyCode=code, **text)
-    tab.call("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code)
 
 
 @needs_browser

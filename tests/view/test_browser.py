@@ -2,7 +2,6 @@
 
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,13 +9,6 @@ from browser_module import browser, needs_browser, pixels_of
 from viewers import Run, run
 
 pytestmark = needs_browser
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    with run(tmp_path_factory.mktemp("browser"), "paper-tank", "--start", "--sensors", "pose") as made:
-        yield made
-        made.end()
 
 
 SCREENS = {"desk": (1200, 800, False, False), "phone": (390, 844, True, True)}

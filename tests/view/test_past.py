@@ -1,11 +1,9 @@
 """Back to a moment of the live view, in a browser: the whole page of then, a badge that says so, and the way back."""
 
-from collections.abc import Iterator
 from typing import Any
 
-import pytest
 from browser_module import browser, needs_browser
-from viewers import Run, run
+from viewers import Run, press
 
 pytestmark = needs_browser
 
@@ -19,13 +17,6 @@ NOTED = """(() => {
 })()"""
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    with run(tmp_path_factory.mktemp("past"), "paper-tank", "--start", "--sensors", "pose") as made:
-        yield made
-        made.end()
-
-
 def opened(tab: Any, flight: Run) -> None:
     """With some seconds of history, and what stood there at each time."""
     tab.size(1440, 900)
@@ -33,11 +24,6 @@ def opened(tab: Any, flight: Run) -> None:
     tab.wait("document.querySelectorAll('#thrusters .bar').length === 4")
     tab.ask(NOTED % PLACE)
     tab.wait("Object.keys(window.noted).length > 20")
-
-
-def press(tab: Any, key: str, code: int) -> None:
-    for kind in ("keyDown", "keyUp"):
-        tab.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code)
 
 
 def test_the_slider_shows_the_whole_page_of_then_and_leads_back(flight: Run) -> None:

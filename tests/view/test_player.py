@@ -14,7 +14,7 @@ import pytest
 from browser_module import browser, needs_browser, pixels_of
 from click.testing import CliRunner
 from scripted_page import module
-from viewers import Page, Stream, get, post, run
+from viewers import Page, Stream, get, post, press, run
 
 from autopilot.cli.log import log as log_command
 from autopilot.log.reader import open_log
@@ -170,13 +170,6 @@ FLOWING = f"""(() => {{
 """Pixels of the plan in the colour of the current."""
 
 
-def press(tab: Any, key: tuple[str, int], shift: bool = False) -> None:
-    name, code = key
-    for kind in ("keyDown", "keyUp"):
-        text = {"text": name} if kind == "keyDown" and len(name) == 1 else {}
-        tab.call("Input.dispatchKeyEvent", type=kind, key=name, windowsVirtualKeyCode=code, modifiers=8 * shift, **text)
-
-
 def opened(tab: Any, player: Player, at: str = "#t=5.5", width: int = 1440, phone: bool = False) -> None:
     tab.size(width, 900, phone=phone)
     tab.open(f"http://127.0.0.1:{player.port}/{at}")
@@ -223,29 +216,29 @@ def set_rate(tab: Any, rate: str) -> None:
 def test_play_pause_speed_and_keys(player: Player) -> None:
     with browser.page(browser.found()) as tab:
         opened(tab, player)
-        press(tab, ARROW)
+        press(tab, *ARROW)
         tab.wait(f"{CLOCK} === 5.6")
-        press(tab, ARROW, shift=True)
+        press(tab, *ARROW, shift=True)
         tab.wait(f"{CLOCK} === 6.6")
         tab.ask("document.getElementById('when').focus()")
-        press(tab, HOME)
+        press(tab, *HOME)
         tab.wait(f"{CLOCK} < 0.1")
-        press(tab, END)
+        press(tab, *END)
         tab.wait(f"{CLOCK} === 10")
-        press(tab, HOME)
+        press(tab, *HOME)
         tab.wait(f"{CLOCK} < 0.1")
         set_rate(tab, "0.25")  # a busy machine must not come to the end
-        press(tab, SPACE)
+        press(tab, *SPACE)
         tab.wait("document.getElementById('play').textContent === 'Pause'")
         tab.wait(f"{CLOCK} > 0.2")
-        press(tab, SPACE)
+        press(tab, *SPACE)
         tab.wait("document.getElementById('play').textContent === 'Play'")
         stopped = tab.ask(CLOCK)
         assert tab.wait("location.hash !== '#t=5.5' && location.hash") is not None
-        press(tab, ARROW)
+        press(tab, *ARROW)
         tab.wait(f"{CLOCK} > {stopped}")
         set_rate(tab, "4")
-        press(tab, SPACE)
+        press(tab, *SPACE)
         tab.wait("document.getElementById('play').textContent === 'Play'")  # at the end
         tab.wait(f"{CLOCK} === 10")
         assert tab.errors == []
@@ -268,7 +261,7 @@ def test_from_message_to_message(player: Player) -> None:
         tab.ask("document.getElementById('prior').click()")
         tab.wait(f"{CLOCK} < {times[-1]} - 0.02")
         tab.ask("document.activeElement.blur()")
-        press(tab, NEXT)
+        press(tab, *NEXT)
         tab.wait(f"Math.abs({CLOCK} - {times[-1]}) < 0.06")
         assert tab.errors == []
 
@@ -318,7 +311,7 @@ def test_a_log_without_truth_and_pictures(tmp_path: Path, dark: bool) -> None:
         assert "Position error" not in tab.ask("document.getElementById('state').textContent")
         tab.ask("document.getElementById('span').value = '60'")
         tab.ask("document.getElementById('span').dispatchEvent(new Event('change'))")
-        press(tab, ARROW, shift=True)
+        press(tab, *ARROW, shift=True)
         tab.wait(f"{CLOCK} === 21")
         tab.ask("location.hash = '#t=100'")
         tab.wait(f"{CLOCK} === 100")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser_module import browser, needs_browser
 from numpy.typing import NDArray
-from viewers import Run, get, run
+from viewers import Run, get, press
 
 from autopilot.view.http_server import NO_THREE, ViewServer
 
@@ -32,13 +32,6 @@ COUNTED = """(() => {
 })()"""
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    with run(tmp_path_factory.mktemp("space"), "paper-tank", "--start", "--sensors", "pose") as made:
-        yield made
-        made.end()
-
-
 @contextlib.contextmanager
 def opened(flight: Run, *options: str, dark: bool = False) -> Iterator[Any]:
     with browser.page(browser.found(), *options) as tab:
@@ -47,11 +40,6 @@ def opened(flight: Run, *options: str, dark: bool = False) -> Iterator[Any]:
         tab.wait("document.querySelectorAll('#thrusters .bar').length === 4")
         yield tab
         assert tab.errors == []
-
-
-def press(tab: Any, key: str) -> None:
-    tab.call("Input.dispatchKeyEvent", type="keyDown", key=key)
-    tab.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
 
 def still(tab: Any) -> None:

@@ -72,6 +72,14 @@ def run(folder: Path, *arguments: str, command: str = "sitl", view: int = 0) -> 
             made.process.wait()
 
 
+def press(tab: Any, key: str, code: int = 0, *, shift: bool = False) -> None:
+    """A key, down and up, in a browser's page."""
+    text = {"text": "\r"} if key == "Enter" else {"text": key} if len(key) == 1 else {}
+    both = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 * shift}
+    tab.call("Input.dispatchKeyEvent", type="keyDown", **both, **text)
+    tab.call("Input.dispatchKeyEvent", type="keyUp", **both)
+
+
 def get(port: int, path: str = "/", headers: dict[str, str] | None = None) -> tuple[int, dict[str, str], bytes]:
     """Status, headers and body."""
     return _request(port, "GET", path, None, headers or {})

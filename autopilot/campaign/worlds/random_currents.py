@@ -7,8 +7,7 @@ import numpy as np
 
 from autopilot.campaign.worlds.distance_map import Flow
 from autopilot.core.frames import FloatArray
-from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
-from autopilot.sitl.scenario_tables import Current
+from autopilot.sitl.current_fields import Current, CurrentField, Uniform, current_field
 
 STEEPEST_1_S = 0.6
 """Maximum velocity gradient [1/s]; the jet of the paper's tank has 0.52."""

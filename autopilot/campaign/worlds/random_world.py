@@ -30,8 +30,8 @@ from autopilot.campaign.worlds.world_shapes import (
     wall_pieces,
 )
 from autopilot.core.vehicle import Vehicle
-from autopilot.sitl.current_fields import current_field
-from autopilot.sitl.scenario_tables import Current, OriginSection
+from autopilot.sitl.current_fields import Current, current_field
+from autopilot.sitl.scenario_tables import OriginSection
 from autopilot.sitl.toml_text import toml_text
 
 KINDS = ("tank", "pool", "harbour", "open")

@@ -330,16 +330,16 @@ class Rig:
         beat = self.pilot.wait("HEARTBEAT", lambda m: m.get_srcSystem() == 1 and m.get_srcComponent() == 1, 10.0, mark)
         return bool(beat[1].base_mode & 128)
 
-    def below_until(self, *, armed: bool, patience_s: float = 20.0, mark: int | None = None) -> float:
+    def below_until(self, *, armed: bool, mark: int | None = None) -> float:
         return self.pilot.wait(
             "HEARTBEAT",
             lambda m: m.get_srcSystem() == 1 and m.get_srcComponent() == 1 and bool(m.base_mode & 128) is armed,
-            patience_s,
+            20.0,
             mark,
         )[0]
 
-    def until_disarmed(self, patience_s: float = 20.0) -> None:
-        self.operator.wait("HEARTBEAT", lambda m: m.get_srcComponent() == 1 and not m.base_mode & 128, patience_s)
+    def until_disarmed(self) -> None:
+        self.operator.wait("HEARTBEAT", lambda m: m.get_srcComponent() == 1 and not m.base_mode & 128, 20.0)
 
     # The end
 

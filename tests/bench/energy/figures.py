@@ -28,16 +28,13 @@ GROUPS = (
     Group("least energy, flow known", ("flow known", "map"), "#0072B2"),
     Group("least energy, flow felt", ("flow felt",), "#56B4E9"),
     Group("least energy, flow estimated", ("estimate",), "#009E73"),
-    Group("quadratic mode", ("quadratic",), "#E69F00"),
-    Group("knows nothing of the current", ("current-unaware",), "#CC79A7"),
-    Group("line of sight with PID", ("line of sight",), "#D55E00"),
     Group("other", ("",), "#999999"),
 )
 PANELS = (
     ("flow known", ("least energy, flow known",)),
     ("flow felt", ("least energy, flow felt",)),
     ("flow estimated", ("least energy, flow estimated",)),
-    ("rivals", ("quadratic mode", "knows nothing of the current", "line of sight with PID", "other")),
+    ("other", ("other",)),
 )
 """Maps beside each other, and whose flights are in each: ten ways in one map hide each other."""
 LOOKS: tuple[tuple[str, Any], ...] = tuple(

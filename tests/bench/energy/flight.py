@@ -18,9 +18,8 @@ from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.contact import Cylinder
-from autopilot.sitl.current_fields import CurrentField, current_field
+from autopilot.sitl.current_fields import Bickley, Current, CurrentField, Gyre, TankJet, Uniform, Vortex, current_field
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.thruster_models import wrench_of
@@ -33,9 +32,9 @@ from tests.bench.energy.cases import (
     Case,
     EnergyGoal,
 )
-from tests.bench.energy.los_pid import LosGains, LosPid
 
 STEP_US = 50_000
+CRUISE_M_S = 0.35
 LIMIT_S = 400.0
 """A leg that takes longer is missed."""
 
@@ -60,8 +59,6 @@ ENERGY_PARAMS = {
     "MPC_W_MOMENT": 0.0,
 }
 """As in the scenario b1: least energy; nothing is unmodelled but roll and pitch."""
-
-QUADRATIC_PARAMS = {**ENERGY_PARAMS, "MPC_COST": 0.0}
 
 Pilot: TypeAlias = Callable[[int, NavState, Goal, Fence], FloatArray]
 """(time [us], state, goal, fence) -> thrust (4,) [N]."""
@@ -98,12 +95,12 @@ class EnergyFlight:
 def plant_field(case: Case) -> CurrentField:
     """The flow of a case by the simulator's own equations."""
     north, east = case.flow(0.0, 0.0, math)
-    tables: dict[str, sc.Current] = {
-        "jet": sc.JetCurrent(),
-        "bickley": sc.BickleyCurrent(speed_m_s=0.30, width_m=3.0, center_y_m=10.0),
-        "taylor-green": sc.GyreCurrent(speed_m_s=0.3, cell_m=20.0),
-        "vortex": sc.VortexCurrent(circulation_m2_s=6.0, core_m=2.0),
-        "uniform": sc.UniformCurrent(velocity_m_s=(north, east, 0.0)),
+    tables: dict[str, Current] = {
+        "jet": TankJet(),
+        "bickley": Bickley(speed_m_s=0.30, width_m=3.0, center_y_m=10.0),
+        "taylor-green": Gyre(speed_m_s=0.3, cell_m=20.0),
+        "vortex": Vortex(circulation_m2_s=6.0, core_m=2.0),
+        "uniform": Uniform(velocity_m_s=(north, east, 0.0)),
     }
     return current_field(tables[case.flow_name])
 
@@ -135,23 +132,12 @@ def nmpc_pilot(
     return pilot
 
 
-def los_pilot(vehicle: Vehicle, gains: LosGains) -> Pilot:
-    """Line of sight with PID loops."""
-    follower = LosPid(vehicle.to_model(), vehicle.radius_m, gains, STEP_US * 1e-6)
-
-    def pilot(t_us: int, nav: NavState, goal: Goal, fence: Fence) -> FloatArray:
-        return follower.thrust(nav, goal, fence, 12.0)
-
-    return pilot
-
-
 def fly(
     case: Case,
     pilot: Pilot,
     name: str,
     vehicle: Vehicle,
     *,
-    cruise_m_s: float = 0.35,
     laps: int = 0,
     corridor: bool = True,
     clock_us: int = 0,
@@ -165,7 +151,7 @@ def fly(
     power = PowerModel.of(vehicle)
     columns = np.array(wrench_of(vehicle)).T
     fence = (TANK if corridor else TANK_CLOSED) if case.tank else OPEN_WATER
-    goals = [_goal(goal, case, index, cruise_m_s) for index, goal in _sequence(case, laps or case.laps)]
+    goals = [_goal(goal, case, index) for index, goal in _sequence(case, laps or case.laps)]
     t_us, index, begin_us, spent, top = 0, 0, 0, 0.0, 0.0
     leg_j: list[float] = []
     leg_s: list[float] = []
@@ -245,18 +231,18 @@ def _sequence(case: Case, laps: int) -> list[tuple[int, EnergyGoal]]:
     return [(index, goal) for _ in range(laps) for index, goal in enumerate(case.goals)]
 
 
-def _goal(goal: EnergyGoal, case: Case, index: int, cruise_m_s: float) -> Goal:
+def _goal(goal: EnergyGoal, case: Case, index: int) -> Goal:
     if len(case.goals) == 1:
-        return _plain(goal, cruise_m_s)
-    after = [_plain(case.goals[(index + k) % len(case.goals)], cruise_m_s) for k in (1, 2)]
-    return _plain(goal, cruise_m_s, replace(after[0], following=after[1]))
+        return _plain(goal)
+    after = [_plain(case.goals[(index + k) % len(case.goals)]) for k in (1, 2)]
+    return _plain(goal, replace(after[0], following=after[1]))
 
 
-def _plain(goal: EnergyGoal, cruise_m_s: float, following: Goal | None = None) -> Goal:
+def _plain(goal: EnergyGoal, following: Goal | None = None) -> Goal:
     return Goal(
         pos_ned_m=np.array(goal.pos_ned_m),
         yaw_rad=goal.yaw_rad,
-        speed_m_s=cruise_m_s,
+        speed_m_s=CRUISE_M_S,
         accept_radius_m=REGION_M,
         accept_yaw_rad=REGION_YAW_RAD,
         seq=0,

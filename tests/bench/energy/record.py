@@ -105,8 +105,8 @@ def comparator(records: dict[str, Record], case: str, laps: int, corridor: bool,
     return Comparator(name=name if drag is None else f"{name}, as flown", lap_j=whole_j / len(record.lap_j))
 
 
-def load_records(path: Path = DATA) -> dict[str, Record]:
-    raw: dict[str, dict[str, Any]] = json.loads(path.read_text())
+def load_records() -> dict[str, Record]:
+    raw: dict[str, dict[str, Any]] = json.loads(DATA.read_text())
     return {
         name: Record(
             name=name,
@@ -121,7 +121,7 @@ def load_records(path: Path = DATA) -> dict[str, Record]:
     }
 
 
-def save_records(records: dict[str, Record], path: Path = DATA) -> None:
+def save_records(records: dict[str, Record]) -> None:
     """As JSON, one case per line."""
     lines = []
     for name, record in records.items():
@@ -140,7 +140,7 @@ def save_records(records: dict[str, Record], path: Path = DATA) -> None:
             "track_ned_m": [[round(x, 3) for x in row] for row in record.track_ned_m.tolist()],
         }
         lines.append(f"{json.dumps(name)}: {json.dumps(fields)}")
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    DATA.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def recompute(progress: Callable[[str], None] = lambda _: None, names: tuple[str, ...] = ()) -> dict[str, Record]:
