@@ -31,6 +31,8 @@ DOWNLOAD_US = 10_000_000
 """Time for which a download's snapshot is kept after the client's last request."""
 REPEAT_US = 5_000_000
 """Time for which MISSION_ACK is repeated when the client sends its last item again."""
+REPEAT_PAUSE_US = 200_000
+"""Within this the guilty item is the answer to the request that came with MISSION_ACK."""
 SLOW_DISK_US = 1_000_000
 """Maximum wait of a plan in force for the disk before it is acknowledged (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
@@ -80,6 +82,8 @@ class Finished:
     result: MissionResult
     plan_id: int
     at_us: int
+    asked_us: int
+    """For the guilty item."""
     guilty: int | None = None
     """The item of a refusal."""
 
@@ -202,7 +206,10 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
+        if msg.seq == done.guilty and now_us - done.asked_us < REPEAT_PAUSE_US:
+            return
         if msg.seq in (done.count - 1, done.guilty):
+            done.asked_us = now_us
             if done.guilty is not None and done.guilty != msg.seq:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
@@ -309,7 +316,7 @@ class Missions:
         now_us = self._ctx.t_us
         self._upload = None
         plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
-        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, guilty)
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us, guilty)
         self._ctx.begin_anew()
         if guilty is not None and guilty != upload.requested and 0 <= guilty < upload.count:
             self._request_item(upload, guilty)

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mavlink_harness import ORIGIN, Lossy, World, mav, waypoint
+from mavlink_harness import ORIGIN, World, mav, waypoint
 from test_files import Ftp, a_log, world_with
 
 from autopilot.mavlink.ftp import Op
+from tests.lossy_link import LinkConditions, LossyLink
 
 TICKS = 22
 """Most that a copy comes later than the first: 220 ms."""
@@ -66,11 +67,10 @@ def outcome(sent: list[Any], copies: dict[int, list[int]]) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_files_that_are_read_one_after_the_other_are_not_mixed_by_copies(seed: int, tmp_path: Path) -> None:
-    rng = random.Random(seed)
     names = [f"2026-11-22/10_00_0{n}.mcap" for n in range(4)]
     logs = [a_log(tmp_path, name, 700, seed=n) for n, name in enumerate(names)]
     world = world_with(tmp_path)
-    client = world.client(to_vehicle=Lossy(duplicate=0.7, delay_ticks=3, rng=rng))
+    client = world.client(to_vehicle=LossyLink(LinkConditions(duplicate=0.7), seed))
     ftp = Ftp(client)
     for name, log in zip(names, logs, strict=True):
         opcode, size = ftp.ask(Op.OPEN_READ, data=f"@MAV_LOG/{name}".encode())
