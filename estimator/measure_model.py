@@ -249,14 +249,15 @@ def planar_mass_ratios(vehicle: Vehicle) -> tuple[float, float]:
 
 class Swell:
     """Unmodelled acceleration that goes to and fro, as by waves: unlike a current that begins, it says nothing of the
-    mean flow, of drag or of thrust."""
+    mean flow, of drag or of thrust. A vehicle that turns in a stream which is not known yet, or with a tether, feels
+    what goes to and fro along its own axes, or north and south: waves do both."""
 
     def __init__(self, vehicle: VehicleAcceleration) -> None:
         self._vehicle = vehicle
         self._t_us: int | None = None
         self._mean: FloatArray = np.zeros(NX)
         """(21,) states as they are in the mean: waves are not to explain themselves."""
-        self._accel = ToAndFro()
+        self._ahead, self._north = ToAndFro(), ToAndFro()
         self.variance = 0.0
         """By which the model's acceleration is less certain, as of one of 50 independent looks a second [m^2/s^4]."""
 
@@ -271,7 +272,11 @@ class Swell:
         x[BIAS_AHEAD:] = self._mean[BIAS_AHEAD:]
         x[DRAG_EXCESS] = x[THRUST_EXCESS] = 0.0
         residual = np.array(accel_level_m_s2[:2]) - self._vehicle.at(x, node.moment)[:2] - x[ACCEL_BIAS][:2]
-        square = self._accel.update(dt_s / SWELL.follow_s, residual)
+        square = self._ahead.update(dt_s / SWELL.follow_s, residual)
+        c, s = math.cos(x.item(YAW)), math.sin(x.item(YAW))
+        ahead, right = residual.tolist()
+        north = self._north.update(dt_s / SWELL.follow_s, np.array((c * ahead - s * right, s * ahead + c * right)))
+        square = min(square, north)
         self.variance = SWELL.shared_looks * max(0.0, square - SWELL.usual_m_s2**2)
 
 
