@@ -4,9 +4,6 @@ from collections import deque
 
 from autopilot.estimator.estimator_tuning import ENGINE
 
-KEPT = 5
-"""Ages whose median is the usual one: a gap or two change nothing."""
-
 
 class FixRhythm:
     """Ages that the newest fix or velocity over ground reaches before the next is used, interval and latency included.
@@ -16,7 +13,7 @@ class FixRhythm:
     """
 
     def __init__(self) -> None:
-        self._ages_us: deque[int] = deque(maxlen=KEPT)
+        self._ages_us: deque[int] = deque(maxlen=ENGINE.rhythms_kept)
         self._last_us = 0
         self.alone_after_us = ENGINE.alone_after_us
         self.coast_after_us = ENGINE.coast_after_us

@@ -176,6 +176,8 @@ class EngineTuning:
     """The same for slow sources, in times that the newest fix usually reaches before the next;"""
     longest_rhythm_us: int = 800_000
     """of which no more is believed: two fixes a second, with 0.3 s of latency."""
+    rhythms_kept: int = 5
+    """Their median is the usual one: a gap or two change nothing."""
     tracked_us: int = 1_000_000
     """Largest age of a velocity over ground for dead reckoning."""
     redriven_us: int = 800_000
