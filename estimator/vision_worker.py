@@ -22,9 +22,11 @@ from autopilot.estimator.vision import Hint
 
 ACQUISITION_US = 185_000
 """Without a prediction the whole dictionary is searched, which is slow: at 5 Hz, of 30 Hz every sixth frame."""
-SUSPECT_US = 85_000
-"""At 10 Hz while markers have been found but no position yet, and with a prediction that is not good, there at most
-every second frame: a vehicle that is somewhere else would not find itself among the markers that should be in view."""
+FOUND_US = 85_000
+"""Once markers have been found, but no position yet: at 10 Hz."""
+SUSPECT_EVERY = 3
+"""With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
+not find itself among the markers that should be in view."""
 
 _COUNTERS = tuple(f"frames.{verdict.value}" for verdict in FrameVerdict)
 
@@ -67,8 +69,7 @@ class VisionWorker:
         """Paced only: the newest frame, behind the one that is in work."""
         self._searched_us = -ACQUISITION_US
         """When a frame was last searched without a prediction."""
-        self._hinted = True
-        """Whether the last frame had one."""
+        self._suspect_frames = 0
         self._found = False
         """Whether the last picture showed markers."""
         self.dropped = 0
@@ -84,15 +85,15 @@ class VisionWorker:
         """Start the detection of a frame that came in at ``t_us``; one that is no picture of a floor is dropped."""
         if self._frame_filter.judge(frame) is not FrameVerdict.OK:
             return
-        passed_us = t_us - self._searched_us
         hint = None
         if nav is not None and nav.health is not NavHealth.INVALID:
-            if nav.health is NavHealth.GOOD or not self._hinted or passed_us < SUSPECT_US:
+            self._suspect_frames = self._suspect_frames + 1 if nav.health is not NavHealth.GOOD else 0
+            if self._suspect_frames % SUSPECT_EVERY != 1:
                 hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
-        elif passed_us < (SUSPECT_US if nav is not None and self._found else ACQUISITION_US):
-            return
-        self._hinted = hint is not None
-        if hint is None:
+        else:
+            every_us = FOUND_US if nav is not None and self._found else ACQUISITION_US
+            if t_us - self._searched_us < every_us:
+                return
             self._searched_us = t_us
         request = _FrameRequest(due_us=t_us + self._delay_us, frame=frame, hint=hint)
         if self._paced:

@@ -66,4 +66,4 @@ def test_short_waves_are_rarely_taken_for_weak_thrusters_and_end_no_flight() -> 
         texts = fly_fault(flight).texts
         blamed += [seed] if any(text.startswith("Thruster") for text in texts) else []
         assert not [text for text in texts if text.startswith("Failsafe") and "thruster" in text]
-    assert len(blamed) <= 3, blamed
+    assert len(blamed) <= 4, blamed

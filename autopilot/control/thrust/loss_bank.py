@@ -21,9 +21,9 @@ likelihood ratio test with estimated size of the change: Willsky and Jones 1976)
 with different starts; every other second the least likely one is restarted.
 
 Waves push to and fro and the controller pushes back: thrust goes with the disturbance, cycle after cycle in the same
-way, and a weak thruster explains a part of it. Waves are therefore noise of surge and sway (``Beliefs.calm_m_s2``).
-What is left grows slowly; in waves every update loses some evidence (``Beliefs.waves_cost``), and a thruster that is
-lost outgrows it.
+way, and a weak thruster explains a part of it. Waves beyond ``Beliefs.waves_m_s2`` are therefore noise of surge and
+sway. What is left grows slowly; in waves every update loses some evidence (``Beliefs.waves_cost``), and a thruster
+that is lost outgrows it.
 """
 
 import math
@@ -140,9 +140,6 @@ class Beliefs:
     """Largest evidence of one update, against and for a hypothesis [nats]: one tug is not enough."""
     most_evidence: float = 40.0
     """Evidence in all at most."""
-    calm_m_s2: float = 0.06
-    """Root mean square acceleration of the water to and fro that ``push`` covers: beyond it, it pushes the hull by as
-    much again, and surge and sway show little of the thrust."""
     waves_m_s2: float = 0.08
     """Root mean square acceleration of the water to and fro up to which evidence counts in full: a tank's jet that is
     crossed makes 0.05, a wave of 0.05 m and 3 s 0.11."""
@@ -301,7 +298,7 @@ class LossBank:
         h = self._derivatives(motion, pull)
         thrust = np.square(self._effect) @ np.square(motion.thrust_n)
         known = np.square(b.noise) + b.noise_fraction**2 * thrust + np.square(motion.swing)
-        known[:2] += 2.0 * max(0.0, motion.waves_m_s2**2 - b.calm_m_s2**2)  # the square of their amplitude
+        known[:2] += 2.0 * max(0.0, motion.waves_m_s2**2 - b.waves_m_s2**2)  # the square of their amplitude
         noise = known * (b.independent_s / motion.dt_s)
         if not heave:
             noise[2] = LOSS_BANK.unseen
