@@ -20,10 +20,11 @@ from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting, Pi
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import Hint
 
-ACQUISITION_US = 185_000
-"""Without a prediction the whole dictionary is searched, which is slow: at 5 Hz, of 30 Hz every sixth frame."""
-FOUND_US = 85_000
-"""Once markers have been found, but no position yet: at 10 Hz."""
+ACQUISITION_EVERY, ACQUISITION_US = 6, 380_000
+"""Without a prediction the whole dictionary is searched, which is slow: every sixth frame (of 30 Hz at 5 Hz), of slow
+cameras the first after so long: three must fall into the time in which fixes agree."""
+FOUND_US = 180_000
+"""Once markers have been found, but no position yet, the same with every third frame."""
 SUSPECT_EVERY = 3
 """With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
 not find itself among the markers that should be in view."""
@@ -69,7 +70,7 @@ class VisionWorker:
         """Paced only: the newest frame, behind the one that is in work."""
         self._searched_us = -ACQUISITION_US
         """When a frame was last searched without a prediction."""
-        self._suspect_frames = 0
+        self._blind_frames = self._suspect_frames = 0
         self._found = False
         """Whether the last picture showed markers."""
         self.dropped = 0
@@ -91,10 +92,12 @@ class VisionWorker:
             if self._suspect_frames % SUSPECT_EVERY != 1:
                 hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
         else:
-            every_us = FOUND_US if nav is not None and self._found else ACQUISITION_US
-            if t_us - self._searched_us < every_us:
+            found = nav is not None and self._found
+            every, longest_us = (SUSPECT_EVERY, FOUND_US) if found else (ACQUISITION_EVERY, ACQUISITION_US)
+            self._blind_frames += 1
+            if self._blind_frames % every != 1 and t_us - self._searched_us < longest_us:
                 return
-            self._searched_us = t_us
+            self._searched_us, self._blind_frames = t_us, 1
         request = _FrameRequest(due_us=t_us + self._delay_us, frame=frame, hint=hint)
         if self._paced:
             self.dropped += self._waiting is not None

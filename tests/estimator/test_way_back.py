@@ -6,9 +6,15 @@ import pytest
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.frame_filter import FrameFilter
-from autopilot.estimator.startup import WINDOW_US
+from autopilot.estimator.startup import SLOW_WINDOW_US
 from autopilot.estimator.vision import Hint
-from autopilot.estimator.vision_worker import ACQUISITION_US, FOUND_US, SUSPECT_EVERY, VisionWorker
+from autopilot.estimator.vision_worker import (
+    ACQUISITION_EVERY,
+    ACQUISITION_US,
+    FOUND_US,
+    SUSPECT_EVERY,
+    VisionWorker,
+)
 
 SHAPE = (48, 64, 3)
 
@@ -68,8 +74,9 @@ def test_in_dead_reckoning_every_third_picture_is_searched_without(rate_hz: floa
 @RATES
 @pytest.mark.parametrize("found", [True, False])
 def test_a_lost_vehicle_looks_more_often_once_there_is_something_to_see(found: bool, rate_hz: float) -> None:
-    """At any rate often enough that three looks fall into the second in which fixes must agree."""
+    """At any rate often enough that three looks fall into the time in which fixes must agree."""
     times_us = without(searched(NavHealth.INVALID, rate_hz, found=found))
-    gaps_us, least_us = np.diff(times_us[1:]), FOUND_US if found else ACQUISITION_US
-    assert times_us[0] == 0 and gaps_us.min() >= least_us
-    assert gaps_us.max() <= least_us + 1e6 / rate_hz + 1 and gaps_us.max() < 0.5 * WINDOW_US
+    every, longest_us = (SUSPECT_EVERY, FOUND_US) if found else (ACQUISITION_EVERY, ACQUISITION_US)
+    gaps_us, frame_us = np.diff(times_us[1:]), 1e6 / rate_hz
+    assert times_us[0] == 0 and gaps_us.max() <= min(every * frame_us, longest_us + frame_us) + 1
+    assert gaps_us.min() >= min(every * frame_us - 1, longest_us) and 2 * gaps_us.max() < SLOW_WINDOW_US
