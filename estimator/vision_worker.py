@@ -20,14 +20,14 @@ from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting, Pi
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import Hint
 
-ACQUISITION_EVERY, ACQUISITION_US = 6, 380_000
-"""Without a prediction the whole dictionary is searched, which is slow: every sixth frame (of 30 Hz at 5 Hz), of slow
-cameras the first after so long: three must fall into the time in which fixes agree."""
-FOUND_US = 180_000
-"""Once markers have been found, but no position yet, the same with every third frame."""
 SUSPECT_EVERY = 3
 """With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
 not find itself among the markers that should be in view."""
+ACQUISITION_EVERY, ACQUISITION_US = 2 * SUSPECT_EVERY, 380_000
+"""Without a prediction the whole dictionary is searched, which is slow: every sixth frame (of 30 Hz at 5 Hz), of slow
+cameras the first after so long: three must fall into the time in which fixes agree."""
+FOUND_US = ACQUISITION_US // 2
+"""Once markers have been found, but no position yet, the same with every third frame."""
 
 _COUNTERS = tuple(f"frames.{verdict.value}" for verdict in FrameVerdict)
 
