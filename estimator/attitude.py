@@ -19,6 +19,7 @@ from autopilot.core.samples import AhrsSample, ImuSample
 from autopilot.estimator.gyro_bias import WINDOW_S, GyroBias
 from autopilot.estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
 from autopilot.estimator.magnetic import FieldWatch
+from autopilot.estimator.remarks import Remarks
 from autopilot.estimator.rotation import (
     IDENTITY,
     Four,
@@ -187,10 +188,11 @@ class AttitudeFilter:
         self._bias.add_heading(dt_s, gain * error, gain)
 
 
-class AttitudeSource:
+class AttitudeSource(Remarks):
     """Makes :class:`AhrsSample` of raw ones, and watches the tilt of an AHRS that gives its own."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._raw = AttitudeFilter()
         self._watch = AttitudeFilter(WATCH_TUNING)
         self._last: ImuSample | None = None
@@ -211,12 +213,6 @@ class AttitudeSource:
         self._thawed = 0
         self._frozen: tuple[float, float] | None = None
         """Headings of AHRS and filter when the AHRS's attitude froze, None while it lives."""
-        self._texts: list[str] = []
-
-    def take_texts(self) -> tuple[str, ...]:
-        """Messages to the operator since the last call."""
-        texts, self._texts = tuple(self._texts), []
-        return texts
 
     def attitude(self, sample: ImuSample) -> AhrsSample:
         """The sample with an attitude. A bad one has NaN, a repeated one a repeated attitude, so that the validation

@@ -31,12 +31,12 @@ from autopilot.core.samples import (
 )
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
-from autopilot.estimator.anchor import FixRhythm
 from autopilot.estimator.attitude import AttitudeSource
 from autopilot.estimator.camera_monitor import NO_CAMERA, CameraMonitor
 from autopilot.estimator.estimator_tuning import ENGINE
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import FilterCore
+from autopilot.estimator.fix_rhythm import FixRhythm
 from autopilot.estimator.fixes import Fixes
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import History, Node

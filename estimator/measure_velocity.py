@@ -12,6 +12,7 @@ from autopilot.estimator.aiding import REJECT_COUNT, START_COUNT, ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
 from autopilot.estimator.log_drift import LogDrift
 from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.remarks import Remarks
 from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
@@ -112,23 +113,18 @@ def velocity_from_sample(sample: VelocitySample, dvl: DvlMount) -> BodyVelocity 
     return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=mount_frd_m)
 
 
-class VelocityAid(ScalarAid[VelocitySample]):
+class VelocityAid(Remarks, ScalarAid[VelocitySample]):
     sensor = "velocity"
     samples = (VelocitySample,)
     own = VEL
 
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__(vehicle.dvl.time_offset_s)
+        Remarks.__init__(self)
+        ScalarAid.__init__(self, vehicle.dvl.time_offset_s)
         self._dvl = vehicle.dvl
         self.drift = LogDrift(vehicle.dvl)
         self.ground_us: int | None = None
         """Time of validity of the newest velocity over ground that has been used, None before the first."""
-        self._texts: list[str] = []
-
-    def take_texts(self) -> tuple[str, ...]:
-        """Messages to the operator since the last call."""
-        texts, self._texts = tuple(self._texts), []
-        return texts
 
     def measured(self, sample: VelocitySample) -> BodyVelocity | None:
         return self.counted(velocity_from_sample(sample, self._dvl))

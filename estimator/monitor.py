@@ -11,16 +11,14 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.history import Node
+from autopilot.estimator.remarks import Remarks
 
 NOTHING: FloatArray = np.zeros(4)
 NOTHING.flags.writeable = False
 
 
-class Monitor:
+class Monitor(Remarks):
     """A watch that has found nothing."""
-
-    def __init__(self) -> None:
-        self._texts: list[str] = []
 
     def doubts(self, t_us: int, newest: Node) -> Iterable[NavDoubt]:
         """Findings against the estimate or its sensors."""
@@ -35,12 +33,6 @@ class Monitor:
     def counts(self) -> Mapping[str, int]:
         """Counts of findings, by name."""
         return {}
-
-    def take_texts(self) -> tuple[str, ...]:
-        if not self._texts:
-            return ()
-        texts, self._texts = tuple(self._texts), []
-        return texts
 
 
 class MonitorFinding(Monitor):

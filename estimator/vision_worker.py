@@ -71,6 +71,7 @@ class VisionWorker:
         self._searched_us = -ACQUISITION_US
         """When a frame was last searched without a prediction."""
         self._blind_frames = self._suspect_frames = 0
+        """Frames since the last search without any prediction, and since the estimate was good."""
         self._found = False
         """Whether the last picture showed markers."""
         self.dropped = 0
@@ -95,9 +96,9 @@ class VisionWorker:
             found = nav is not None and self._found
             every, longest_us = (SUSPECT_EVERY, FOUND_US) if found else (ACQUISITION_EVERY, ACQUISITION_US)
             self._blind_frames += 1
-            if self._blind_frames % every != 1 and t_us - self._searched_us < longest_us:
+            if self._blind_frames < every and t_us - self._searched_us < longest_us:
                 return
-            self._searched_us, self._blind_frames = t_us, 1
+            self._searched_us, self._blind_frames = t_us, 0
         request = _FrameRequest(due_us=t_us + self._delay_us, frame=frame, hint=hint)
         if self._paced:
             self.dropped += self._waiting is not None

@@ -322,16 +322,16 @@ def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
     found = None if commands is None else measure(commands)
     if found is None:
         return []
-    end_s, step_n = flight.mission.end_s, BARS.of(found).step_n
+    end_s, bars = flight.mission.end_s, BARS.of(found)
     slow = f"{found.variation_n_s:.2f} N/s, {found.low_passed_n_s:.2f} below 2 Hz"
     if found.low_passed_n_s < found.least_n_s:
         slow += f", taken as {found.least_n_s:.2g}"
     return [
-        _smooth("alternating commands", "%", 100.0 * BARS.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
-        _smooth("thrust variation / that below 2 Hz", "", BARS.ratio, found.ratio, end_s, slow),
-        _smooth("largest step of thrust", "N", step_n, found.step_n, found.step_at_s, "without starts and limits"),
-        _smooth("reversals of a thruster", "1/s", BARS.reversals_1_s, found.reversals_1_s, end_s, "worst thruster"),
-        _smooth("unreported fallback steps", "", BARS.silent, float(found.silent), end_s),
+        _smooth("alternating commands", "%", 100.0 * bars.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
+        _smooth("thrust variation / that below 2 Hz", "", bars.ratio, found.ratio, end_s, slow),
+        _smooth("largest step of thrust", "N", bars.step_n, found.step_n, found.step_at_s, "without starts and limits"),
+        _smooth("reversals of a thruster", "1/s", bars.reversals_1_s, found.reversals_1_s, end_s, "worst thruster"),
+        _smooth("unreported fallback steps", "", bars.silent, float(found.silent), end_s),
     ]
 
 
