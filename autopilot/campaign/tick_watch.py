@@ -139,11 +139,11 @@ class TickWatch:
         armed = outputs.mode.armed
         if armed and self._armed_s is None:
             self._armed_s = t_s
-        if self._armed_s is not None and not armed and self._disarmed_s is None:
-            self._disarmed_s = t_s
-        progress = outputs.progress
-        if armed and progress is not None and progress.state is ProgressState.COMPLETE and self._complete_s is None:
-            self._complete_s = t_s
+        if self._armed_s is not None and self._disarmed_s is None:
+            progress = outputs.progress  # also of the tick that disarms: a last item may be at the surface
+            if progress is not None and progress.state is ProgressState.COMPLETE and self._complete_s is None:
+                self._complete_s = t_s
+            self._disarmed_s = None if armed else t_s
         if outputs.events:
             for event in outputs.events:
                 self._note_event(event, t_s)
