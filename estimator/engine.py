@@ -320,6 +320,8 @@ class AidedEstimator(Estimator):
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))
         node = history.append(inertial.t_us, moment, step)
         self._foreseen_yaw_rad = node.state.x.item(YAW)
+        if model.let_go(moment, informs=model_informs):
+            self._fusion.forget(node, model, model.taught)
         if not inertial.real:
             return
         model_dt_s = model.due_s(step.dt_s)

@@ -36,6 +36,7 @@ from autopilot.estimator.states import (
     BIAS_AHEAD,
     BIAS_DOWN,
     BIAS_RIGHT,
+    CURRENT,
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
@@ -284,6 +285,8 @@ class ModelAid(InertialAid):
     """The vehicle model: samples of the accelerometer are held against it."""
 
     sensor = "model"
+    taught = (CURRENT,)
+    """States that are known by it."""
     every_s = MODEL_EVERY_S
 
     def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
@@ -291,10 +294,20 @@ class ModelAid(InertialAid):
         self.vehicle = VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle))
         self._options = options
         self._swell = Swell(VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle)))
+        self._carried = False
 
     def is_informative(self, moment: Moment, x: FloatArray) -> bool:
         """Whether the vehicle is driven, and may move."""
         return self._options.model_aid and not idle(moment, x)
+
+    def let_go(self, moment: Moment, *, informs: bool) -> bool:
+        """Whether thrusters begin to drive a vehicle that moved without them: by the water, or by a hand or a rope,
+        which the model took for water and drag."""
+        if max(map(abs, moment.thrust_n)) > 1e-3 * IDLE_THRUST_N:
+            carried, self._carried = self._carried, False
+            return carried
+        self._carried |= informs
+        return False
 
     def measured(self, sample: Inertial) -> ModelAcceleration:
         factor = 1.0 + self._swell.variance / SIGMA_M_S2**2
