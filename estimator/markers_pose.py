@@ -524,9 +524,12 @@ def _print_error(pixels: FloatArray, fitted: Pose | SheetPose) -> tuple[float, f
     towards their centres, which is told from height by the distances between three markers or more."""
     if 4 * len(pixels) <= PNP.few_points:
         return None
-    half_px = float(np.linalg.norm(pixels - pixels.mean(axis=1, keepdims=True), axis=2).mean())
+    inward = pixels.mean(axis=1, keepdims=True) - pixels
+    length_px = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", inward, inward)), 1e-6)
+    half_px = float(length_px.mean())
     # A fit that is far off its prior of blur takes itself for noisy and stays near it: the rest is in the residuals.
-    left_px = float(fitted.residual_px.reshape(-1) @ inward_of(pixels)) / (4 * len(pixels))
+    residual = fitted.residual_px.reshape(inward.shape)
+    left_px = float(np.einsum("ijk,ijk,ij->", residual, inward, 1.0 / length_px)) / length_px.size
     return (PNP.shrink_px - fitted.shrink_px - left_px) / half_px, PNP.shrink_sigma_px / half_px
 
 
