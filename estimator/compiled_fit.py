@@ -169,6 +169,7 @@ class Fitted(NamedTuple):
     toward: FloatArray
     strain: FloatArray
     tilt_variance: float
+    shrink_px: float
 
 
 class CompiledFit:
@@ -263,6 +264,7 @@ class CompiledFit:
             parts.toward,
             parts.strain,
             parts.tilt_variance.item(),
+            parts.numbers.item(2),
         )
 
 

@@ -150,6 +150,7 @@ class AidedEstimator(Estimator):
             self._monitors.camera.check_stamps()
             self._recalibration.retime()
         self._recalibration.rescale()
+        self._recalibration.resize()
         self._last = self._state(t_us, self._fusion.history.newest)
         return self._last
 

@@ -146,6 +146,7 @@ class Fixes:
     def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
         if self._map is None:
             return
+        self._map.check_print(fix)
         if not rejected:
             self._map.check_outliers(fix)
         for sheet in self._map.loosened(fix, rejected=rejected):

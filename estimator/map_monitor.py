@@ -1,4 +1,4 @@
-"""In-flight check of the marker map: moved markers, swapped ids, displaced sheets."""
+"""In-flight check of the marker map: moved markers, swapped ids, displaced sheets, printed size."""
 
 import math
 from collections import deque
@@ -11,7 +11,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.estimator_tuning import MAP_MONITOR
+from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MAP_MONITOR
 from autopilot.estimator.gauge import KNOWN_FRACTION, Gauge
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix
@@ -59,6 +59,10 @@ class MapMonitor(Monitor):
         self._strained: dict[int, deque[int]] = {}
         self._reported_sheets: set[int] = set()
         self._found_us: int | None = None
+        self._seen_print: deque[float] = deque(maxlen=CAMERA_MONITOR.focal_estimates)
+        self.print_error = 0.0
+        """Share by which markers are taken to be larger than the map has them."""
+        self._print_reported = False
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: variance of the whole map at the state's position in addition to the filter's;
@@ -92,6 +96,23 @@ class MapMonitor(Monitor):
                 self._judge(fix.t_us, outlier, place)
             if place.steady and place.reported:  # in doubt once it has a name
                 self._found_us = fix.t_us
+
+    def check_print(self, fix: PoseFix) -> None:
+        """The size of the printed markers by one more picture."""
+        if fix.print_error is None:
+            return
+        error, sigma = fix.print_error
+        self._seen_print.append(self.print_error + error)
+        if len(self._seen_print) < CAMERA_MONITOR.focal_estimates:
+            return
+        off = sum(self._seen_print) / len(self._seen_print) - self.print_error
+        if abs(off) > (CAMERA_MONITOR.doubted if self.print_error else CAMERA_MONITOR.focal_sigmas) * sigma:
+            self.print_error += off
+            self._seen_print.clear()
+        elif self.print_error and not self._print_reported:
+            self._print_reported = True
+            percent, what = 100.0 * abs(self.print_error), "larger" if self.print_error > 0.0 else "smaller"
+            self._notify(fix.t_us, notices.PRINT_OFF(percent=percent, what=what).text)
 
     def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
         """Sheets whose places become suspect by one picture more."""

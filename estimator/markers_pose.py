@@ -23,7 +23,7 @@ from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_monitor import focal_estimate
 from autopilot.estimator.compiled_fit import LONG, compiled_fit
-from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
+from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE, PNP
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
 from autopilot.estimator.pnp import Pose, inward_of, linearise_corners, solve_pose
@@ -61,8 +61,8 @@ class MarkerSolver:
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
         self._camera = self._given_camera = camera
-        self._corners_ned_m = markers.corners_ned_m
-        self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
+        self._given_corners_m = markers.corners_ned_m
+        self.set_print(0.0)
         self._depth_m = markers.centers_ned_m[:, 2]
         self.counts = {"unknown": 0, "misfit": 0, "leaning": 0}
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
@@ -95,6 +95,12 @@ class MarkerSolver:
         fx, fy = (f / (1.0 + focal_error) for f in given.focal_px)
         k1, k2, k3, k4, k5 = (k / (1.0 + distortion_error) for k in given.distortion)
         self._camera = replace(given, focal_px=(fx, fy), distortion=(k1, k2, k3, k4, k5))
+
+    def set_print(self, error: float) -> None:
+        """Set the share by which the printed markers are larger than the map has them."""
+        middles_m = self._given_corners_m.mean(axis=1, keepdims=True)
+        self._corners_ned_m = middles_m + (1.0 + error) * (self._given_corners_m - middles_m)
+        self._plane_m = self._corners_ned_m[..., 0] + 1j * self._corners_ned_m[..., 1]
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
@@ -365,6 +371,7 @@ class MarkerSolver:
             noise=best.covariance,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
+            print_error=_print_error(sighting.corners_px[seen[good]], best),
             fit=_fit(len(seen), best.rms_px, off_px),
         )
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
@@ -497,6 +504,7 @@ class MarkerSolver:
             ground=SheetDependence(which, sigma, best.by_offsets, best.at),
             ties=partial(_ties, best, sighting.t_us, which, sigma),
             strained=tuple(strained),
+            print_error=_print_error(corners.pixels, best),
             fit=_fit(len(seen), best.rms_px, off_px),
         )
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
@@ -509,6 +517,20 @@ def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray)
         return None
     ground = SheetDependence(which, sigma, rows, np.zeros(len(best.at)), learns=True)
     return SheetTies(sensor="sheets", t_us=t_us, z=z, noise=noise, ground=ground)
+
+
+def _print_error(pixels: FloatArray, fitted: Pose | SheetPose) -> tuple[float, float] | None:
+    """See :attr:`PoseFix.print_error`, of markers (n, 4, 2): what blur does not explain of their corners' displacement
+    towards their centres, which is told from height by the distances between three markers or more."""
+    if 4 * len(pixels) <= PNP.few_points:
+        return None
+    inward = pixels.mean(axis=1, keepdims=True) - pixels
+    length_px = np.maximum(np.sqrt(np.einsum("ijk,ijk->ij", inward, inward)), 1e-6)
+    half_px = float(length_px.mean())
+    # A fit that is far off its prior of blur takes itself for noisy and stays near it: the rest is in the residuals.
+    residual = fitted.residual_px.reshape(inward.shape)
+    left_px = float(np.einsum("ijk,ijk,ij->", residual, inward, 1.0 / length_px)) / length_px.size
+    return (PNP.shrink_px - fitted.shrink_px - left_px) / half_px, PNP.shrink_sigma_px / half_px
 
 
 def _fit(known: int, rms_px: float, worst_px: FloatArray) -> MarkerFit:

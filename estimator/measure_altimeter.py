@@ -9,11 +9,11 @@ ones.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.core.echoes import LEAST_CONFIDENCE, RecentEchoes
 from autopilot.core.samples import AltimeterSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
@@ -29,13 +29,9 @@ KNOWN_FRACTION = 0.7
 """While the depth is known better than to this share of an echo's standard deviation by something else, it is left
 out: many echoes with one and the same error would make a sure and wrong depth."""
 MAX_RANGE_M = 200.0
-LEAST_CONFIDENCE = 0.5
-ECHOES, ECHOES_MOST, ECHOES_US = 5, 8, 4_000_000
-"""Echoes, of so long, that must have been heard before one is used, and that it is held against: with one in five
-coming back twice, all of them are multiples once in three thousand times."""
-TWICE_FRACTION = 0.2
-"""An echo is a multiple when it lies this near to twice another one: share of its range, for noise and what the vehicle
-has climbed in between."""
+ECHOES = 5
+"""Echoes that must have been heard before one is used: with one in five coming back twice, all of them are multiples
+once in three thousand times."""
 STEEPEST = 0.5
 """Cosine of the tilt of the beam from which on no echo from below is used."""
 
@@ -65,8 +61,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         self._mount_frd_m = mount.position_frd_m
         self._beam_frd = unit(mount.direction_frd)
         self._half_beam_rad = 0.5 * mount.beam_width_rad
-        self._received: deque[tuple[int, float]] = deque(maxlen=ECHOES_MOST)
-        """Time and range of the last echoes."""
+        self._echoes = RecentEchoes()
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:
         """See :class:`ScalarAid`; malformed samples are accepted here, to be counted."""
@@ -83,10 +78,8 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
 
     def _came_back_once(self, sample: AltimeterSample) -> bool:
         """Whether it is a first echo by comparison with the preceding ones, to which it is added."""
-        lately = [range_m for t_us, range_m in self._received if 0 <= sample.t_us - t_us <= ECHOES_US]
-        self._received.append((sample.t_us, sample.range_m))
-        near_m = TWICE_FRACTION * sample.range_m
-        return len(lately) >= ECHOES and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
+        before, at_half = self._echoes.add(sample.t_us, sample.range_m)
+        return before >= ECHOES and not at_half
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
         if self._floor_depth_m is None or not _sane(sample):

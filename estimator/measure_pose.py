@@ -78,6 +78,8 @@ class PoseFix(Measurement):
     """Sheets of the image that do not fit to the others; left out of the pose."""
     outliers: tuple[MarkerOutlier, ...] = ()
     """Its markers that do not lie where the map has them."""
+    print_error: tuple[float, float] | None = None
+    """Share by which its markers are larger than the map has them, and its standard deviation; None = too few."""
     fit: MarkerFit | None = None
     """Reprojection residuals, None = not from markers."""
 

@@ -38,3 +38,8 @@ class Pictures:
         """From now on take the camera's focal length and distortion for too large by these shares."""
         if self.solver is not None:
             self.solver.set_lens(focal_error, distortion_error)
+
+    def set_print(self, error: float) -> None:
+        """From now on take the printed markers for larger than the map has them by this share."""
+        if self.solver is not None:
+            self.solver.set_print(error)

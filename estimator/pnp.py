@@ -42,6 +42,8 @@ class Pose(NamedTuple):
     residual_px: FloatArray
     """(m, 2)"""
     rms_px: float
+    shrink_px: float
+    """Displacement of corners towards the markers' centres."""
 
 
 def solve_pose(
@@ -135,6 +137,7 @@ class CornerFit(ABC):
             return False
         self._pos, self._rotation = fitted.pos_ned_m, fitted.rotation
         self._left, self._keep = fitted.left, fitted.keep > 0.0
+        self._shrink = fitted.shrink_px
         return True
 
     def _steps(self) -> bool:
@@ -214,7 +217,8 @@ class _PoseFit(CornerFit):
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
         noise = floored(covariance[_POSE])
         sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
-        return Pose(self._pos, rpy_from_r(self._rotation), noise, sigma_tilt_rad, self._left.reshape(-1, 2), rms)
+        residual_px = self._left.reshape(-1, 2)
+        return Pose(self._pos, rpy_from_r(self._rotation), noise, sigma_tilt_rad, residual_px, rms, self._shrink)
 
 
 _POSE = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])

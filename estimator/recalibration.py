@@ -21,10 +21,12 @@ CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
 class Recalibration:
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
-        self._evidence, self._imu, self._camera, *_ = monitors
+        self._evidence, self._imu, self._camera, self._map, *_ = monitors
         self._lens = 0.0, 0.0
-        """Focal and distortion error that pictures are read with."""
-        self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
+        """Focal and distortion error that pictures are read with,"""
+        self._print = 0.0
+        """and error of the printed size."""
+        self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled", "print.rescaled"), 0)
 
     def retime(self) -> None:
         """If images are found to be stamped late, correct later stamps and carry the estimate, which has followed
@@ -64,6 +66,17 @@ class Recalibration:
             np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3), CAMERA_MONITOR.bent_share * height_m * bent
         )
         self.counts["focal.rescaled"] += 1
+
+    def resize(self) -> None:
+        """If the markers are printed larger or smaller than was thought: pictures of few of them were off by that."""
+        error = 0.0 if self._map is None else self._map.print_error
+        if error == self._print:
+            return
+        more, self._print = error - self._print, error
+        self._sources.pictures.set_print(error)
+        height_m = self._camera.height_m(self._fusion.history.newest.state.x)
+        self._carry(np.array([0.0, 0.0, 0.0, 0.0]), np.zeros(3), abs(more) * height_m)
+        self.counts["print.rescaled"] += 1
 
     def _carry(self, along: FloatArray, velocity: FloatArray, aside_m: float = 0.0) -> None:
         """Move the estimate by ``along`` (4,) [m, rad] and set its ``velocity`` (3,), and reset everything derived

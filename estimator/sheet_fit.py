@@ -54,6 +54,7 @@ class SheetPose(NamedTuple):
     residual_px: FloatArray
     """(m, 4, 2)"""
     rms_px: float
+    shrink_px: float
 
     def ties(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Measurement of the offsets alone: rows (r, 4n), values (r,), covariance (r, r)."""
@@ -192,6 +193,7 @@ class _SheetFit(CornerFit):
             jacobian=self._jacobian,
             residual_px=left.reshape(-1, 4, 2),
             rms_px=rms,
+            shrink_px=found.shrink_px,
         )
 
     def _jacobian(self) -> FloatArray:
@@ -237,6 +239,7 @@ class _SheetFit(CornerFit):
             toward=toward[4:] - by_offsets.T @ toward[:4],
             strain=(off * held_by).sum(axis=1),
             tilt_variance=max(posterior[3, 3], posterior[4, 4]),
+            shrink_px=self._shrink,
         )
 
 

@@ -160,8 +160,15 @@ def _mission(mission: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         command = _get(item, "command", int, here)
         frame = _get(item, "frame", int, here)
         params = _numbers(_get(item, "params", list, here), 7, here, "params")
-        if math.isnan(params[6]) and isinstance(item.get("Altitude"), int | float):
-            params[6] = _float(item["Altitude"], here, "Altitude")
+        if isinstance(item.get("Altitude"), int | float):
+            shown = _float(item["Altitude"], here, "Altitude")
+            if math.isnan(params[6]):
+                params[6] = shown
+            elif item.get("AltitudeMode") in (1, 2) and abs(shown - params[6]) > 1e-3:  # else it is over the terrain
+                raise PlanError(
+                    f"{here}: Altitude is {shown:g}, which ground stations show, params[6] is {params[6]:g}, which is"
+                    " flown; correct the one that is wrong"
+                )
         if command == Command.DO_JUMP:
             count = jump_ids.count(params[0])
             if count != 1:

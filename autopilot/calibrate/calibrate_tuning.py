@@ -190,6 +190,8 @@ class ThrustCurveTuning:
     """Thrusts below this part of the largest are none: a load cell's zero is never quite 0."""
     same_voltage: float = 0.03
     """Readings whose supply differs by no more than this share belong to one curve."""
+    most_left: float = 0.3
+    """A fit leaves no more than this share of the thrusts, rms."""
 
 
 THRUST_CURVE = ThrustCurveTuning()

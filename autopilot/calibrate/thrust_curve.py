@@ -58,23 +58,24 @@ def read_table(path: Path, thruster: str | None = None) -> Readings:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.DictReader(stream, skipinitialspace=True)
-            heads, rows = table.fieldnames or (), list(table)
+            heads, rows = table.fieldnames or (), [(table.line_num, row) for row in table]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"{path}: cannot be read ({why}); give a table with {', '.join(COLUMNS)}") from error
-    missing = [name for name in COLUMNS if name not in heads]
-    if missing:
-        raise ConfigError(
-            f"{path}: has no column {missing[0]!r}; give a table with {', '.join(COLUMNS)}, commas between them"
-        )
-    named = sorted({row["thruster"] for row in rows if row.get("thruster")})
+    for name in COLUMNS:
+        if heads.count(name) != 1:
+            found = f"{heads.count(name)} columns" if name in heads else "no column"
+            raise ConfigError(
+                f"{path}: has {found} {name!r}; give a table with {', '.join(COLUMNS)}, commas between them"
+            )
+    named = sorted({row["thruster"] for _, row in rows if row.get("thruster")})
     if len(named) > 1 and thruster is None:
         raise ConfigError(f"{path}: holds {', '.join(named)}; say which with --thruster")
     if thruster is not None and named and thruster not in named:
         raise ConfigError(f"{path}: holds no thruster {thruster!r}; use one of {', '.join(named)}")
     values = [
         [_number(path, line, name, row[name]) for name in COLUMNS]
-        for line, row in enumerate(rows, 2)
+        for line, row in rows
         if thruster is None or not named or row.get("thruster") == thruster
     ]
     if len(values) < THRUST_CURVE.least_rows:
@@ -110,18 +111,17 @@ def fit_brushed(readings: Readings, drive: ThrusterDrive, origin: str) -> Brushe
         rows = moving & (np.sign(duty) == sign)
         if rows.sum() < 2:
             raise ConfigError(f"{origin}: {rows.sum()} readings {name} of neutral push; give 2 or more each way")
-        slope[sign] = float((np.abs(readings.thrust_n[rows]) * square[rows]).sum() / (square[rows] ** 2).sum())
+        slope[sign] = float((sign * readings.thrust_n[rows] * square[rows]).sum() / (square[rows] ** 2).sum())
     still = np.abs(duty[~moving])
     first = float(np.abs(duty[moving]).min())
     inside = still[still < first]
     deadband = 0.5 * (float(inside.max(initial=0.0)) + first)
     modelled = np.where(duty > 0.0, slope[1], -slope[-1]) * square * (np.abs(duty) > deadband)
-    rms_n = float(np.sqrt(np.mean((readings.thrust_n - modelled) ** 2)))
     return BrushedFit(
         deadband_duty=round(deadband, 4),
         forward_n_v2=float(f"{slope[1]:.4g}"),
         reverse_n_v2=float(f"{slope[-1]:.4g}"),
-        rms_n=rms_n,
+        rms_n=_left_n(readings, readings.thrust_n - modelled, origin),
     )
 
 
@@ -163,7 +163,18 @@ def fit_curves(readings: Readings, drive: ThrusterDrive, origin: str) -> CurveFi
             )
         except ValueError as error:
             raise ConfigError(f"{where}: {error}; measure both ways") from error
-    return CurveFit(curves=tuple(curves), rms_n=float(np.sqrt(np.mean(np.concatenate(left) ** 2))))
+    return CurveFit(curves=tuple(curves), rms_n=_left_n(readings, np.concatenate(left), origin))
+
+
+def _left_n(readings: Readings, left_n: FloatArray, origin: str) -> float:
+    """Root mean square of what is left of the thrusts. ConfigError if that is much of them."""
+    rms_n, whole_n = (float(np.sqrt(np.mean(values**2))) for values in (left_n, readings.thrust_n))
+    if rms_n > THRUST_CURVE.most_left * whole_n:
+        raise ConfigError(
+            f"{origin}: {rms_n:.2f} N rms are left of `thrust_n` with {whole_n:.2f} N rms: readings contradict each"
+            " other; give those of one thruster, pulses in us, measured again where they differ"
+        )
+    return rms_n
 
 
 def curves_text(curves: Sequence[ThrustCurve]) -> str:

@@ -73,7 +73,8 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     from autopilot.markermaps.survey import survey_map
 
     if options["out"] is not None:
-        not_over(Path(options["out"]), *map(Path, sources))
+        given = [source for source in (*sources, options["rough"], options["camera"]) if source is not None]
+        not_over(Path(options["out"]), *map(Path, given))
     rough = _rough_map(**options)
     camera, views = _views(sources, rough, **options)
     fixed = np.array([_index_of(rough, text, "--fix") for text in options["fix"]], dtype=np.int64)

@@ -15,6 +15,7 @@ from autopilot.control.constraints.tracks import Tracks
 from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.camera_tilt import tilt_problem
+from autopilot.core.echoes import LEAST_CONFIDENCE
 from autopilot.core.geometry import Fence
 from autopilot.core.laser_dot import dot_range
 from autopilot.core.messages import Event, FlightControllerState, Inputs
@@ -133,7 +134,8 @@ class Environment:
             self._show_laser(t_us, sample)
         elif isinstance(sample, AltimeterSample):
             sensed.newest[AltimeterSample] = sample
-            self.status.floor.note("altimeter", t_us, sample.range_m)
+            if sample.confidence >= LEAST_CONFIDENCE:
+                self.status.floor.note("altimeter", t_us, sample.range_m)
         elif not isinstance(sample, MarkerSighting):
             sensed.newest[type(sample)] = sample
         elif sample.laser_px is not None and self._camera is not None and self.tilt_problem is None:

@@ -3,15 +3,16 @@
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from statistics import median
+from statistics import median_low
 
+from autopilot.core.echoes import RecentEchoes
 from autopilot.core.frames import FloatArray
 
 FRESH_US = 1_000_000
 """Age beyond which a range is invalid: the vehicle has moved."""
 
 READINGS = 5
-"""Length of the median filter: rejects fish and multipath echoes."""
+"""Length of the median filter: rejects fish and multipath echoes. Of an even number the nearer one counts."""
 
 SENSORS = ("altimeter", "laser")
 """Order of preference among sensors with recent data: a sonar's wide beam sees the floor also through silt."""
@@ -24,7 +25,8 @@ class _Ranges:
     position_frd_m: tuple[float, float, float] = _NOWHERE
     direction_frd: tuple[float, float, float] = _NOWHERE
     readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
-    """Time and range."""
+    """Time and range, multiples left out."""
+    echoes: RecentEchoes = field(default_factory=RecentEchoes)
 
 
 class FloorRanges:
@@ -43,8 +45,10 @@ class FloorRanges:
 
     def note(self, name: str, t_us: int, range_m: float) -> None:
         """One reading of a sensor, along its beam."""
-        if math.isfinite(range_m) and range_m > 0.0:
-            self._ranges[name].readings.append((t_us, range_m))
+        ranges = self._ranges[name]
+        # A single one at half the range is a fish above the floor.
+        if math.isfinite(range_m) and range_m > 0.0 and ranges.echoes.add(t_us, range_m).at_half < 2:
+            ranges.readings.append((t_us, range_m))
 
     def height_m(self, t_us: int, rpy_rad: FloatArray | None) -> float | None:
         """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
@@ -52,7 +56,7 @@ class FloorRanges:
             ranges = self._ranges[name]
             fresh = [range_m for then_us, range_m in ranges.readings if t_us - then_us <= FRESH_US]
             if fresh:
-                below_m = median(fresh) * _below(rpy_rad, ranges.direction_frd)
+                below_m = median_low(fresh) * _below(rpy_rad, ranges.direction_frd)
                 height_m = below_m + _below(rpy_rad, ranges.position_frd_m)
                 return height_m if height_m > 0.0 else None
         return None

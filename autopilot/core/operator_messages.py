@@ -182,6 +182,9 @@ MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Ad
 MARKER_OFF = _warning(
     "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
 )
+PRINT_OFF = _warning(
+    "Markers are printed {percent:.1f} % {what} than in the map", "", "Measure a black square, correct size_m."
+)
 ACCELEROMETER_WRONG = _warning(
     "Accelerometer wrong: keep markers in view", "It contradicts fixes or depth.", "Check the AHRS's range."
 )

@@ -71,6 +71,7 @@ class IdentificationFit:
         return model_of(self.values, like)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a search that runs away is reported as such
 def fit(windows: Windows, like: Model4) -> IdentificationFit:
     """Fit all coefficients to all windows, beginning with those of ``like``.
 

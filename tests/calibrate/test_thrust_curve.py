@@ -88,6 +88,13 @@ def test_a_table_saved_by_a_spreadsheet_is_read(tmp_path: Path) -> None:
         ("pulse_us;thrust_n;supply_v\n1500;0;16\n", "commas between them"),
         ("pulse_us,thrust_n,supply_v\n", "0 readings are too few"),
         ("pulse_us,thrust_n,supply_v\n1500,zero,16\n", "line 2: `thrust_n` = 'zero' is not a number"),
+        ("pulse_us,thrust_n,supply_v\n\n\n1500,zero,16\n", "line 4: `thrust_n` = 'zero' is not a number"),
+        ("pulse_us,thrust_n,supply_v,thrust_n\n1500,0,16,0\n", "has 2 columns 'thrust_n'"),
+        (
+            "pulse_us,thrust_n,supply_v\n" + "1900,5,16\n1900,15,16\n1100,-5,16\n1100,-15,16\n" * 2,
+            "contradict each other",
+        ),
+        ("pulse_us,thrust_n,supply_v\n" + "1900,5,16\n1100,-5,16\n" * 3 + "-1900,5,16\n", "contradict each other"),
         ("pulse_us,thrust_n,supply_v\n1500,0,16\n", "1 readings are too few"),
         ("pulse_us,thrust_n,supply_v\n" + "1900,5,0\n" * 6, "`supply_v` must be above 0"),
         ("pulse_us,thrust_n,supply_v\n" + "1900,5,16000\n" * 6, "`supply_v` must be above 0, at most 1000; give volts"),

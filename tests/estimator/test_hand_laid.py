@@ -94,6 +94,25 @@ def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
         assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 10.0
 
 
+@pytest.mark.parametrize("scale", [0.93, 1.08])
+@pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
+def test_squares_of_another_size_are_named_and_corrected(
+    make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, scale: float
+) -> None:
+    """One marker shows a height by its size, several by how far they are apart: without a correction fixes jump."""
+    some = np.arange(len(floor.ids)) % 6 == 0
+    sparse = dataclasses.replace(floor, ids=floor.ids[some], corners_ned_m=floor.corners_ned_m[some])
+    told = sparse if sigma is None else sheets_of(sparse, sigma)
+    middles = told.centers_ned_m[:, None]
+    true = dataclasses.replace(told, corners_ned_m=middles + scale * (told.corners_ned_m - middles), errors=None)
+    estimator = make_ekf(markers=told)
+    track, remarks = flown(estimator, LaidWorld(true, 5), FLIGHT_S)
+    assert [remark[:20] for remark in remarks] == ["Markers are printed "] and len(remarks[0]) <= 50
+    assert float(remarks[0].split()[3]) == pytest.approx(100.0 * abs(scale - 1.0), abs=1.0)
+    assert 1e3 * np.abs(track.after(3.0).pos_error()).max() < 10.0
+    assert estimator.counters()["markers.rejected"] < 5
+
+
 @pytest.mark.parametrize("depth_m", [0.65, 0.75, 0.85])
 @pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
 def test_a_moved_marker_among_few_is_named_and_costs_nothing(

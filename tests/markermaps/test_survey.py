@@ -221,6 +221,10 @@ def test_from_images_by_the_command(tmp_path: Path) -> None:
     done = CliRunner().invoke(command, [*arguments, "--rough-sigma", "0.01"], catch_exceptions=False)
     assert done.exit_code in (0, 3), done.output
     surveyed = load_marker_map(out)
+    rough = out.with_name("rough.toml")
+    before = rough.read_bytes()
+    over = CliRunner().invoke(command, [*arguments[:-1], str(rough)])
+    assert over.exit_code == 2 and rough.read_bytes() == before
     places = {m.id: m.center_ned_m for m in placed_markers(true)}
     error = np.array([m.center_ned_m - places[m.id] - off for m in placed_markers(surveyed)])
     assert len(error) > 30

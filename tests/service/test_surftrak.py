@@ -25,20 +25,23 @@ class FloorWorld(PilotedWorld):
     ranges = True
     sonar = False
     """An altimeter in the laser's place."""
+    every_us = 50_000
     doubles = 0.0
     """Share of readings of twice the range."""
+    confidence = 1.0
+    """Of a sonar's double."""
 
     def samples(self) -> tuple[Sample, ...]:
         said = super().samples()
-        if not self.ranges or self.t_us % 50_000:
+        if not self.ranges or self.t_us % self.every_us:
             return said
+        twice = np.random.default_rng(self.t_us).random() < self.doubles
+        mount = self.vehicle.altimeter if self.sonar else self.vehicle.laser
+        assert mount is not None
+        range_m = (1 + twice) * (self.height - mount.position_frd_m[2])
         if self.sonar:
-            range_m = self.height - self.vehicle.altimeter.position_frd_m[2]
-            return (*said, AltimeterSample(t_us=self.t_us, range_m=range_m, sigma_m=0.01))
-        assert self.vehicle.laser is not None
-        range_m = self.height - self.vehicle.laser.position_frd_m[2]
-        if math.fmod(0.618 * (self.t_us // 50_000), 1.0) < self.doubles:
-            range_m *= 2.0
+            confidence = self.confidence if twice else 1.0
+            return (*said, AltimeterSample(t_us=self.t_us, range_m=range_m, sigma_m=0.01, confidence=confidence))
         noise_m = 0.004 * math.sin(1.7 * self.t_us * 1e-4)
         return (*said, LaserSample(t_us=self.t_us, range_m=range_m + noise_m, sigma_m=0.01))
 
@@ -133,10 +136,19 @@ def test_without_a_range_it_is_refused_and_one_that_is_lost_holds_the_depth() ->
     assert world.height == pytest.approx(held, abs=0.04)
 
 
-def test_echoes_that_came_back_twice_do_not_move_it() -> None:
+@pytest.mark.parametrize(
+    ("sonar", "every_us", "doubles", "confidence"),
+    [(False, 50_000, 0.3, 1.0), (True, 100_000, 0.4, 1.0), (True, 500_000, 0.3, 1.0), (True, 100_000, 0.7, 0.3)],
+    ids=["laser", "sonar", "slow sonar", "doubtful"],
+)
+def test_echoes_that_came_back_twice_do_not_move_it(
+    sonar: bool, every_us: int, doubles: float, confidence: float
+) -> None:
     world = tracking()
+    world.sonar, world.every_us = sonar, every_us
+    world.steer(2.0)
     held = world.height
-    world.doubles = 0.3
+    world.doubles, world.confidence = doubles, confidence
     least, largest = world.heights(10.0)
     assert held - 0.06 < least and largest < held + 0.06
 
