@@ -244,10 +244,6 @@ def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path)
     [
         (("sitl", "missing.toml"), ("missing.toml", "check the name")),
         (("config", "show", "missing.toml"), ("missing.toml", "check the name")),
-        (("log", "info", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "check", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "report", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "plot", "missing.mcap"), ("missing.mcap", "check the name")),
         (("mission", "check", "missing.plan"), ("missing.plan", "check the name")),
         (("mission", "upload", "missing.plan"), ("missing.plan", "check the name")),
         (("mission", "start", "missing.plan"), ("missing.plan", "check the name")),
@@ -337,19 +333,6 @@ def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:
     assert "J/m (1.00 times)" in done.out.splitlines()[0]
 
 
-@pytest.mark.parametrize("share", [0.97, 0.5, 0.1])
-def test_truncated_log(autopilot: Command, flown: Path, share: float) -> None:
-    """What is readable is shown, what is lost is said, the exit code says so, and the file stays as it is."""
-    data = flown.read_bytes()
-    cut = data[: int(share * len(data))]
-    flown.write_bytes(cut)
-    done = autopilot("log", "info", str(flown))
-    assert done.code == 3
-    assert "loss:" in done.out
-    assert done.err == ""
-    assert flown.read_bytes() == cut
-
-
 def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: Command, flown: Path) -> None:
     data = flown.read_bytes()
     flown.write_bytes(data[: len(data) // 2])
@@ -359,29 +342,6 @@ def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: 
         assert done.out.strip()
         assert len(done.err.splitlines()) == 1
         assert "cut off" in done.err
-
-
-def test_corrupted_log(autopilot: Command, flown: Path) -> None:
-    data = bytearray(flown.read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 64] = bytes(64)
-    flown.write_bytes(data)
-    done = autopilot("log", "info", str(flown))
-    assert done.code == 3
-    assert "loss:" in done.out
-
-
-@pytest.mark.parametrize("content", [b"", b"not a log at all" * 64, b"\x89MCAP0\r\n"])
-@pytest.mark.parametrize("command", ["info", "check", "report", "plot"])
-def test_not_a_log(autopilot: Command, tmp_path: Path, command: str, content: bytes) -> None:
-    file = tmp_path / "other.mcap"
-    file.write_bytes(content)
-    done = autopilot("log", command, str(file))
-    assert done.code in (1, 3)
-    assert "Traceback" not in done.err
-    if done.code == 1:
-        _assert_refused(done, str(file))
-    assert _files(tmp_path) == [file]
 
 
 def test_a_file_that_ends_early_is_no_interrupt() -> None:
