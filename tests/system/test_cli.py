@@ -21,7 +21,6 @@ from wire_client import Harbour, WireClient
 
 from autopilot.cli.main import cli, run
 from autopilot.core.param_file import scan_param_file
-from autopilot.mission.plan_files import read_plan
 from autopilot.run.children import Child, autopilot_command, free_port
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -380,26 +379,6 @@ def test_interrupt_ends_well(tmp_path: Path) -> None:
     opened = open_log(log)
     opened.verify()
     assert opened.problems == ()
-
-
-def test_refused_upload_is_one_line(service: Callable[..., RunningService], autopilot: Command, tmp_path: Path) -> None:
-    """Against a vehicle in another process: exit code 1, the vehicle's reason once, its plan as before."""
-    vehicle = ("--connect", f"udpout:127.0.0.1:{service().port}", "--patience", "600")
-    assert autopilot("mission", "upload", str(PAPER_PLAN), *vehicle) == Done(
-        0, "accepted: fence 6 items, rally 0 items, mission 4 items\n", ""
-    )
-    bad = tmp_path / "bad.plan"
-    bad.write_text(re.sub(r"37\.97551\d*", "37.9755084", PLAN_TEXT))
-    done = autopilot("mission", "upload", str(bad), *vehicle)
-    assert done.code == 3
-    assert done.err.count("item 1 (QGC 2) is 0.16 m inside exclusion circle (fence item 5): move it") == 1
-    bad.write_text(re.sub(r"-0\.3\b", "-30.0", PLAN_TEXT))
-    done = autopilot("mission", "upload", str(bad), *vehicle)
-    _assert_refused(done, "Mission refused", "item 1", "DEPTH_MAX", "use 0.05 to 1.2 m")
-    assert autopilot("mission", "upload", str(PAPER_PLAN), *vehicle).code == 0
-    copy = tmp_path / "copy.plan"
-    assert autopilot("mission", "download", str(copy), *vehicle).code == 0
-    assert read_plan(copy).mission[1].x == read_plan(PAPER_PLAN).mission[1].x
 
 
 def test_help_names_every_command(autopilot: Command) -> None:
