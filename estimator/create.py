@@ -3,17 +3,11 @@
 from dataclasses import replace
 
 from autopilot.core.markers import MarkerMap
-from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.plugins import find_plugin
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.protocol import Estimator, EstimatorContext
 from autopilot.estimator.shadow import Shadowed
-
-ESTIMATORS = {
-    "ekf": "autopilot.estimator.ekf:of_context",
-    "complementary": "autopilot.estimator.complementary:of_context",
-}
-"""Shipped estimators: name -> factory."""
 
 SHADOW_OF = {"ekf": "complementary"}
 """Who flies in whose shadow; in that of all others the EKF."""
@@ -65,14 +59,9 @@ def create_estimator(
         floor_depth_m=floor_depth_m,
         options=options,
     )
-    flown: Estimator = find_estimator(name, asked_by).make(context, Estimator)
+    flown: Estimator = find_plugin("estimator", name, asked_by).make(context, Estimator)
     if not shadow:
         return flown
     options = replace(context.options, watch_tilt=False, stamps_every_s=SHADOW_STAMPS_S)
     unwatched = replace(context, markers=None, options=options)
-    return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))
-
-
-def find_estimator(name: str, asked_by: str | None = None) -> Plugin:
-    """Locate the estimator of that name without constructing it. ConfigError if there is none."""
-    return find_plugin("estimator", name, ESTIMATORS, asked_by)
+    return Shadowed(flown, find_plugin("estimator", SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))

@@ -5,16 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.plugins import find_plugin
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.contact import Cylinder, Prism, Sphere
 from autopilot.sitl.fault_tables import Mishap
 from autopilot.sitl.plant import Plant, Truth, build_plant
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
-
-PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
-"""Shipped plants: name -> factory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,29 +80,13 @@ class SteerablePlant(Protocol):
 
 
 def create_plant(name: str, context: PlantContext, asked_by: str | None = None) -> PlantLike:
-    """Construct the plant of that name.
+    """Construct the plant of that name: a shipped one, one of an installed package, or ``package:Class``.
 
-    Parameters
-    ----------
-    name
-        A shipped plant, one of an installed package, or ``package:Class``.
-    context
-        Argument of its constructor.
-    asked_by
-        Origin of the name in error messages; default ``--plant``.
-
-    Raises
-    ------
-    ConfigError
-        There is none of that name, or it does not implement :class:`PlantLike`; names origin, value and remedy.
+    ConfigError names ``asked_by`` (default ``--plant``), value and remedy if there is none, or it is none by
+    :class:`PlantLike`.
     """
-    made: PlantLike = find_plant(name, asked_by).make(context, PlantLike)
+    made: PlantLike = find_plugin("plant", name, asked_by).make(context, PlantLike)
     return made
-
-
-def find_plant(name: str, asked_by: str | None = None) -> Plugin:
-    """Locate the plant of that name without constructing it. ConfigError if there is none."""
-    return find_plugin("plant", name, PLANTS, asked_by)
 
 
 def rigid_body(context: PlantContext) -> Plant:

@@ -4,8 +4,11 @@ import configparser
 import json
 import re
 import shlex
+import shutil
+import subprocess
 import tomllib
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from string import Template
 
@@ -16,7 +19,12 @@ from autopilot.cli.main import cli
 from autopilot.run.config import ENVIRONMENT_PREFIX, vehicle_defaults
 from autopilot.view.http_server import DEFAULT_PORT
 
-DEPLOY = Path(__file__).parents[1] / "docs" / "deploy"
+ROOT = Path(__file__).parents[1]
+DEPLOY = ROOT / "docs" / "deploy"
+UNIT = DEPLOY / "underwater-autopilot.service"
+LARGEST_EXPOSURE = 4.0
+"""By `systemd-analyze security`, of 10."""
+INSTALLED = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
 
 
 class Unit(configparser.ConfigParser):
@@ -37,7 +45,7 @@ def understands(arguments: list[str]) -> None:
 
 def test_the_unit_starts_what_is_there() -> None:
     unit = Unit()
-    unit.read_string((DEPLOY / "underwater-autopilot.service").read_text())
+    unit.read_string(UNIT.read_text())
     service = unit["Service"]
     program, *arguments = shlex.split(service["ExecStart"])
     assert program.endswith("/bin/autopilot")
@@ -66,11 +74,9 @@ def test_the_image_starts_what_is_there() -> None:
 
 
 def test_the_image_is_built_from_all_that_is_installed() -> None:
-    root = DEPLOY.parents[1]
-    installed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
-    lines = (root / ".dockerignore").read_text().split()
+    lines = (ROOT / ".dockerignore").read_text().split()
     kept = {line[1:] for line in lines if line.startswith("!")}
-    for pattern in (each for patterns in installed.values() for each in patterns):
+    for pattern in (*chain(*INSTALLED.values()), "autopilot", "drivers", "estimator", "mission", "sitl", "setup.py"):
         above = {str(path) for path in (Path(pattern), *Path(pattern).parents)}
         assert above & kept or not above.intersection(lines), f"{pattern} is not in the image"
 
@@ -106,3 +112,38 @@ def test_the_image_is_an_extension_of_blueos() -> None:
     assert bind.startswith("/usr/blueos/extensions/")
     text = (DEPLOY / "Containerfile").read_text()
     assert f"VOLUME {bind.partition(':')[2]}\n" in text and f"STATE_DIR={bind.partition(':')[2]} " in text
+
+
+def test_the_unit_names_files_that_a_wheel_installs() -> None:
+    """A virtual environment has the data files of a wheel under its own folder."""
+    unit = UNIT.read_text()
+    program = re.search(r"ExecStart=(\S+)/bin/autopilot ", unit)
+    page = re.search(r"Documentation=file:(\S+)", unit)
+    assert program is not None and page is not None
+    folder = "share/underwater-autopilot"
+    files = INSTALLED[folder]
+    assert page[1] == f"{program[1]}/{folder}/deploy.md"
+    assert all((ROOT / file).is_file() for file in files) and str(UNIT.relative_to(ROOT)) in files
+
+
+def test_commands_beside_the_service_have_its_user_and_state() -> None:
+    """Else `mavlink key make` would write a key that the service does not read."""
+    unit = UNIT.read_text()
+    page = (ROOT / "docs" / "deploy.md").read_text()
+    user, program = re.search(r"^User=(\w+)", unit, re.MULTILINE), re.search(r"ExecStart=(\S+)", unit)
+    state = re.search(r"AUTOPILOT_STATE_DIR=\S+", unit)
+    assert user is not None and program is not None and state is not None
+    assert f"alias autopilot='runuser -u {user[1]} -- env {state[0]} {program[1]}'" in page
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
+def test_the_unit_is_confined() -> None:
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--offline=yes", "--no-pager", str(UNIT)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    exposure = re.search(r"exposure level for \S+ ([\d.]+)", done.stdout)
+    assert exposure is not None, done.stderr
+    assert float(exposure[1]) < LARGEST_EXPOSURE

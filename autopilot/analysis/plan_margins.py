@@ -226,26 +226,24 @@ def certificate_table(
     return rows
 
 
-def cost_table(
-    vehicle: Vehicle, goal: Goal, fence: Fence, steps: int, clock: Callable[[], float] = time.thread_time
-) -> list[CostRow]:
+def cost_table(vehicle: Vehicle, goal: Goal, fence: Fence, steps: int) -> list[CostRow]:
     """CPU time of the step in every mode, and of margins and regions in it (same run, interleaved parts)."""
     rows = []
     for mode, name in ((0, "fixed"), (1, "tube"), (2, "lipschitz")):
-        controller = MotionController(vehicle, cpu_clock=clock)
+        controller = MotionController(vehicle, cpu_clock=time.thread_time)
         spent: dict[str, list[float]] = {"margins": [], "regions": []}
         margins, regions = controller.margins, controller.regions
-        setattr(margins, "back_offs", _timed(margins.back_offs, spent["margins"], clock))  # noqa: B010
-        setattr(regions, "follow", _timed(regions.follow, spent["regions"], clock))  # noqa: B010
+        setattr(margins, "back_offs", _timed(margins.back_offs, spent["margins"]))  # noqa: B010
+        setattr(regions, "follow", _timed(regions.follow, spent["regions"]))  # noqa: B010
         params, whole, ticks = ParamSet({"MPC_COST": 0, "MPC_TIGHTEN": mode}), [], []
         x = np.array([-1.6, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
         for step in range(steps):
             t_us = step * STEP_US
             output = controller.step(t_us, _nav(ESTIMATES["pose"], x, t_us), goal, fence, params)
             whole.append(output.status.solve_s)
-            began = clock()
+            began = time.thread_time()
             controller.tick(t_us + 10_000, _nav(ESTIMATES["pose"], x, t_us))
-            ticks.append(clock() - began)
+            ticks.append(time.thread_time() - began)
             x = controller.nmpc.x[0] + 0.5 * (controller.nmpc.x[1] - controller.nmpc.x[0])
         total = float(np.sum(whole))
         rows.append(
@@ -261,11 +259,11 @@ def cost_table(
     return rows
 
 
-def _timed(call: Callable[..., object], spent: list[float], clock: Callable[[], float]) -> Callable[..., object]:
+def _timed(call: Callable[..., object], spent: list[float]) -> Callable[..., object]:
     def timed(*args: object, **named: object) -> object:
-        began = clock()
+        began = time.thread_time()
         result = call(*args, **named)
-        spent.append(clock() - began)
+        spent.append(time.thread_time() - began)
         return result
 
     return timed

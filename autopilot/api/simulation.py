@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self, Unpack
+from typing import Self, Unpack, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from autopilot.api.arrays import finite, thrust_limit_n
 from autopilot.api.set_points import SetPointClient
 from autopilot.api.settings import FlightOptions, checked_seed, settings_of
 from autopilot.api.stepped import Stepped
-from autopilot.control.protocol import STEP_S
+from autopilot.control.protocol import STEP_S, Controller
 from autopilot.core.clock import TICK_US
 from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.frames import FloatArray
@@ -155,7 +155,7 @@ class Simulation:
             peers=(client,),
             log=self._log is not None,
             on_tick=self._outputs.append,
-            around=Stepped,
+            around=lambda own: cast(Controller, Stepped(own)),
         )
         client.target_system = system_id(session.world.params, 0)
         self._tick, self._nav = 0, None
@@ -189,7 +189,7 @@ class Simulation:
             There has been no :meth:`reset`.
         """
         session = self._open()
-        stepped = session.parts.controller
+        stepped: object = session.parts.controller
         assert isinstance(stepped, Stepped) and self._client is not None
         if goal is not None:
             self._client.go_to(_goal(goal), guided=session.parts.commander.mode is FlightMode.GUIDED)

@@ -9,13 +9,12 @@ import msgspec
 
 from autopilot import __version__
 from autopilot.campaign.results import Task
-from autopilot.control.protocol import find_controller
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
-from autopilot.estimator.create import find_estimator
+from autopilot.core.plugins import find_plugin
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.provenance import revision
-from autopilot.sitl.protocol import find_plant
 from autopilot.sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.spread import Tables, drawn_tables, drawn_values, run_seed
@@ -120,11 +119,7 @@ def define(
     if given:
         scenario = msgspec.structs.replace(scenario, plugins=msgspec.structs.replace(scenario.plugins, **given))
         tables = {**tables, "plugins": {**tables.get("plugins", {}), **given}}
-    plugins = (
-        find_controller(scenario.plugins.controller, "--controller"),
-        find_estimator(scenario.plugins.estimator, "--estimator"),
-        find_plant(scenario.plugins.plant, "--plant"),
-    )
+    plugins = [find_plugin(kind, getattr(scenario.plugins, kind)) for kind in SHIPPED_PARTS]
     plan = plan_path(name_or_path, scenario)
     if plan is None:
         raise ConfigError(f"scenario {scenario.scenario.name!r} has no plan; name one in scenario.plan")

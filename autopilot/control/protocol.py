@@ -20,12 +20,9 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavState, NmpcStatus, Severity, SolveStatus
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
-from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.plugins import find_plugin
 from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
-
-CONTROLLERS = {"nmpc": "autopilot.control.controller:of_context", "los-pid": "autopilot.control.los_pid:LosPid"}
-"""Shipped controllers: name -> factory."""
 
 STEP_S = 0.05
 """Time from one step to the next; a new goal asks for one at once."""
@@ -167,29 +164,13 @@ class Controller(Protocol):
 
 
 def create_controller(name: str, context: ControllerContext, asked_by: str | None = None) -> Controller:
-    """Construct the controller of that name.
+    """Construct the controller of that name: a shipped one, one of an installed package, or ``package:Class``.
 
-    Parameters
-    ----------
-    name
-        A shipped controller, one of an installed package, or ``package:Class``.
-    context
-        Argument of its constructor.
-    asked_by
-        Origin of the name in error messages; default ``--controller``.
-
-    Raises
-    ------
-    ConfigError
-        There is none of that name, or it does not implement :class:`Controller`; names origin, value and remedy.
+    ConfigError names ``asked_by`` (default ``--controller``), value and remedy if there is none, or it is none by
+    :class:`Controller`.
     """
-    made: Controller = find_controller(name, asked_by).make(context, Controller)
+    made: Controller = find_plugin("controller", name, asked_by).make(context, Controller)
     return made
-
-
-def find_controller(name: str, asked_by: str | None = None) -> Plugin:
-    """Locate the controller of that name without constructing it. ConfigError if there is none."""
-    return find_plugin("controller", name, CONTROLLERS, asked_by)
 
 
 def simple_output(

@@ -98,14 +98,14 @@ def scan_param_file(path: Path) -> ParamText:
         raise ConfigError(f"{path}: is not UTF-8 text; export the parameters again") from error
 
 
-def param_text(values: Mapping[str, float], *, sysid: int = 1, more: tuple[str, ...] = ()) -> str:
+def param_text(values: Mapping[str, float], *, more: tuple[str, ...] = ()) -> str:
     """A file in QGroundControl's form; ``more``: lines that go in as they are."""
     table = ParamSet()
     lines = [_HEAD]
     for name in sorted(values):
         kind = table.spec(name).type
         value = f"{int(values[name])}" if kind is ParamType.INT32 else f"{values[name]:.9g}"
-        lines.append(f"{sysid}\t1\t{name}\t{value}\t{MAV_PARAM_TYPE[kind]}")
+        lines.append(f"1\t1\t{name}\t{value}\t{MAV_PARAM_TYPE[kind]}")
     return "\n".join((*lines, *more)) + "\n"
 
 

@@ -9,7 +9,7 @@ and returns the instance, which is checked against its protocol before use.
 import hashlib
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points, packages_distributions, version
@@ -19,6 +19,7 @@ from typing import Any
 from autopilot.core.errors import AutopilotError, ConfigError, UnknownNameError
 from autopilot.core.guard import place_of
 from autopilot.core.names import did_you_mean, unknown
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 
 GROUP = "underwater_autopilot.{kind}s"
 """Group of entry points: underwater_autopilot.controllers, .estimators, .plants."""
@@ -92,34 +93,21 @@ class Plugin:
         return ConfigError(f"{self.asked_by} {self.name!r}: {text}")
 
 
-def is_plugin_name(kind: str, name: str, shipped: Mapping[str, str] | tuple[str, ...]) -> bool:
+def is_plugin_name(kind: str, name: str) -> bool:
     """Whether there may be such a part: a shipped name, one of an installed package, or written as package:Class."""
-    return name in shipped or _SPEC.fullmatch(name) is not None or name in _installed(kind)
+    return name in SHIPPED_PARTS[kind] or _SPEC.fullmatch(name) is not None or name in _installed(kind)
 
 
-def plugin_names(kind: str, shipped: Mapping[str, str] | tuple[str, ...]) -> list[str]:
-    """All names of one kind, the shipped ones first."""
-    return [*shipped, *sorted(set(_installed(kind)) - set(shipped))]
-
-
-def find_plugin(kind: str, name: str, shipped: Mapping[str, str], asked_by: str | None = None) -> Plugin:
-    """Locate the plugin of that name.
-
-    Parameters
-    ----------
-    shipped
-        Name -> ``module:attribute``; these names take precedence over installed packages.
-
-    Raises
-    ------
-    ConfigError
-        There is none of that name.
+def find_plugin(kind: str, name: str, asked_by: str | None = None) -> Plugin:
+    """Locate the plugin of that name without making it: a shipped one before one of an installed package. ConfigError
+    if there is none.
     """
-    asked_by = asked_by or f"--{kind}"
+    asked_by, shipped = asked_by or f"--{kind}", SHIPPED_PARTS[kind]
     entry = None if name in shipped else _installed(kind).get(name)
     target = shipped.get(name) or (name if entry is None else entry.value)
     if _SPEC.fullmatch(target) is None:
-        raise unknown(asked_by, name, plugin_names(kind, shipped), more=", or package:Class for your own")
+        names = [*shipped, *sorted(set(_installed(kind)) - set(shipped))]
+        raise unknown(asked_by, name, names, more=", or package:Class for your own")
     call = _imported(target, f"{asked_by} {name!r}")
     module = target.partition(":")[0]
     distribution = "" if name in shipped else _distribution(entry, module)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -115,6 +116,18 @@ class Plots:
         shown = {name: {title: p for title, p in plots.items() if p is not None} for name, plots in subjects.items()}
         return {name: plots for name, plots in shown.items() if plots}
 
+    def _of(self, topic: str, label: str, *fields: tuple[str, str], scale: float = 1.0, **given: Any) -> Any | None:
+        """Fields of a topic over time, each with the name of its curve; None without the topic. ``given``: bounds and
+        scale of the axis; ``steps`` of the curves."""
+        table, steps = self._flight.table(topic), given.pop("steps", False)
+        if table is None:
+            return None
+        t_s = seconds(table)
+        curves = [
+            Curve(name=name, t_s=t_s, values=scale * table[field].astype(float), steps=steps) for name, field in fields
+        ]
+        return self._sheet.plot(label, curves, **given)
+
     def _tracking(self) -> Subject:
         """Positions and heading beside their references."""
         goal = self._flight.table("/ctl/goal")
@@ -177,20 +190,7 @@ class Plots:
         t_s, solve_ms = seconds(table), 1e3 * table["solve_s"]
         solved = solve_ms > 0.0
 
-        def one(field: str, label: str) -> Any | None:
-            return self._sheet.plot(label, [Curve(name=field, t_s=t_s, values=table[field].astype(float))])
-
-        flags = [
-            Curve(name=name, t_s=t_s, values=table[name].astype(float), steps=True) for name in ("status", "fallback")
-        ]
-        fields = (("clearance", "margin_m"), ("tube", "tube_m"))
-        margins = [Curve(name=name, t_s=t_s, values=table[field]) for name, field in fields]
-        plan = self._flight.table("/ctl/plan")
-        energy = (
-            []
-            if plan is None
-            else [Curve(name="energy to the goal", t_s=seconds(plan), values=plan["energy_j"], steps=True)]
-        )
+        of = partial(self._of, "/ctl/nmpc")
         return {
             "Time of a control step": self._sheet.plot(
                 "CPU time [ms]",
@@ -201,14 +201,18 @@ class Plots:
             "Distribution of control step times": histogram(
                 "CPU time of a step [ms]", solve_ms, CONTROL_PERIOD_MS, "deadline"
             ),
-            "Quadratic programs solved": one("iterations", "iterations [-]"),
-            "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": self._sheet.plot(
-                "code [-]", flags
+            "Quadratic programs solved": of("iterations [-]", ("iterations", "iterations")),
+            "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": of(
+                "code [-]", ("status", "status"), ("fallback", "fallback"), steps=True
             ),
-            "Cost": one("cost", "cost [-]"),
-            "Largest slack of soft limits": one("slack_max", "slack [-]"),
-            "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", margins),
-            "Predicted energy to the goal": self._sheet.plot("energy [J]", energy),
+            "Cost": of("cost [-]", ("cost", "cost")),
+            "Largest slack of soft limits": of("slack [-]", ("slack_max", "slack_max")),
+            "Smallest clearance in the prediction, and tube": of(
+                "distance [m]", ("clearance", "margin_m"), ("tube", "tube_m")
+            ),
+            "Predicted energy to the goal": self._of(
+                "/ctl/plan", "energy [J]", ("energy to the goal", "energy_j"), steps=True
+            ),
         }
 
     def _estimator(self) -> Subject:
@@ -252,10 +256,9 @@ class Plots:
                 "innovation / sigma [-]", over, (-3.0, -2.0, 2.0, 3.0)
             )
         plots["Aiding: test ratio (above 1 = rejected)"] = self._sheet.plot("test ratio [-]", ratios, (1.0,))
-        shadow = flight.table("/nav/shadow")
-        if shadow is not None:
-            curves = [Curve(name="largest difference over its bound", t_s=seconds(shadow), values=shadow["ratio"])]
-            plots["Shadow estimator"] = self._sheet.plot("ratio [-]", curves, (1.0,))
+        plots["Shadow estimator"] = self._of(
+            "/nav/shadow", "ratio [-]", ("largest difference over its bound", "ratio"), bounds=(1.0,)
+        )
         return plots
 
     def _camera(self) -> Subject:
@@ -266,20 +269,15 @@ class Plots:
         gap = Curve(name="since the picture before", t_s=t_s[1:], values=1e3 * np.diff(t_s))
         decode = Curve(name="detection", t_s=t_s, values=1e-3 * table["decode_us"])
         return {
-            "Markers in the picture": self._sheet.plot(
-                "markers [-]", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
-            ),
+            "Markers in the picture": self._of("/in/markers", "markers [-]", ("markers", "count")),
             "Time between pictures and of detection": self._sheet.plot("time [ms]", [gap, decode]),
-            "Reprojection error": self._reprojection(),
+            "Reprojection error": self._of(
+                "/nav/fit",
+                "error [px]",
+                *(("rms of the corners", "rms_px"), ("worst corner", "worst_px")),
+                bounds=(MOST_REPROJECTION_PX,),
+            ),
         }
-
-    def _reprojection(self) -> Any | None:
-        fit = self._flight.table("/nav/fit")
-        if fit is None:
-            return None
-        names = (("rms_px", "rms of the corners"), ("worst_px", "worst corner"))
-        curves = [Curve(name=name, t_s=seconds(fit), values=fit[field]) for field, name in names]
-        return self._sheet.plot("error [px]", curves, (MOST_REPROJECTION_PX,))
 
     def _thrusters(self) -> Subject:
         table, acting = self._flight.table("/out/thrusters"), self._flight.table("/sim/thrusters")
@@ -319,21 +317,15 @@ class Plots:
 
     def _power(self) -> Subject:
         flight, plots = self._flight, Subject()
-        acting, battery = flight.table("/sim/thrusters"), flight.table("/in/power_raw")
+        acting = flight.table("/sim/thrusters")
         if acting is not None:
             t_s, power = seconds(acting), acting["power_w"]
             used = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t_s))))
             plots["Electrical power"] = self._sheet.plot("power [W]", [Curve(name="power", t_s=t_s, values=power)])
             curves = [Curve(name="used", t_s=t_s, values=used), *self._thruster_energy()]
             plots["Energy, total and per thruster"] = self._sheet.plot("energy [J]", curves)
-        if battery is not None:
-            t_s = seconds(battery)
-            for title, field, name, unit in (
-                ("Battery", "voltage_v", "voltage", "V"),
-                ("Battery current", "current_a", "current", "A"),
-            ):
-                curve = Curve(name=name, t_s=t_s, values=battery[field])
-                plots[title] = self._sheet.plot(f"{name} [{unit}]", [curve])
+        plots["Battery"] = self._of("/in/power_raw", "voltage [V]", ("voltage", "voltage_v"))
+        plots["Battery current"] = self._of("/in/power_raw", "current [A]", ("current", "current_a"))
         return plots
 
     def _thruster_energy(self) -> list[Curve]:
@@ -373,37 +365,29 @@ class Plots:
                     Curve(name=name, t_s=np.arange(len(counts), dtype=float), values=counts.astype(float), steps=True)
                 )
         plots["MAVLink messages per second"] = self._sheet.plot("messages [1/s]", rates)
+        tick = ("longest tick of a second", "tick_s")
+        plots["Loop"] = self._of("/sys/loop", "time [ms]", tick, scale=1e3, bounds=(TICK_MS,), log_scale=True)
         loop = flight.table("/sys/loop")
         if loop is not None:
-            t_s = seconds(loop)
-            tick = [Curve(name="longest tick of a second", t_s=t_s, values=1e3 * loop["tick_s"])]
-            plots["Loop"] = self._sheet.plot("time [ms]", tick, (TICK_MS,), log_scale=True)
-            whole = Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])
+            whole = Curve(name="whole process", t_s=seconds(loop), values=loop["cpu_s"])
             plots["CPU time per second"] = self._sheet.plot("CPU time [s]", [whole, *self._threads()])
-            lost = [
-                Curve(name=name, t_s=t_s, values=loop[field].astype(float), steps=True)
-                for name, field in (
-                    ("overruns", "overruns"),
-                    ("messages of the log", "dropped_log"),
-                    ("pictures", "dropped_frames"),
-                )
-            ]
-            plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("total [-]", lost)
+        plots["Overruns, lost messages of the log, lost pictures"] = self._of(
+            "/sys/loop",
+            "total [-]",
+            *(("overruns", "overruns"), ("messages of the log", "dropped_log"), ("pictures", "dropped_frames")),
+            steps=True,
+        )
         received, sent = flight.table("/in/mavlink"), flight.table("/out/mavlink")
         if received is not None and sent is not None:
             at_s, trip_s = round_trips(received, sent)
             trips = [Curve(name="TIMESYNC", t_s=at_s, values=1e3 * trip_s)]
             plots["MAVLink round trip"] = self._sheet.plot("round trip [ms]", trips)
-        process = flight.table("/sys/process")
-        if process is not None:
-            t_s = seconds(process)
-            for title, label, name, field, scale in (
-                ("Memory", "memory [MB]", "in memory", "rss", 1e-6),
-                ("Log queue", "messages [-]", "waiting", "log_queue", 1.0),
-                ("Longest garbage collection of a second", "time [ms]", "longest", "collect_s", 1e3),
-            ):
-                curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)
-                plots[title] = self._sheet.plot(label, [curve])
+        for title, label, name, field, scale in (
+            ("Memory", "memory [MB]", "in memory", "rss", 1e-6),
+            ("Log queue", "messages [-]", "waiting", "log_queue", 1.0),
+            ("Longest garbage collection of a second", "time [ms]", "longest", "collect_s", 1e3),
+        ):
+            plots[title] = self._of("/sys/process", label, (name, field), scale=scale, steps=True)
         return plots
 
     def _threads(self) -> list[Curve]:

@@ -113,19 +113,12 @@ class LogWriter:
         self._thread.start()
 
     @classmethod
-    def beside(
-        cls,
-        head: Callable[[], LogHead],
-        *,
-        epoch_ns: int,
-        queue_messages: int = QUEUE_MESSAGES,
-        queue_bytes: int = QUEUE_BYTES,
-    ) -> "LogWriter":
+    def beside(cls, head: Callable[[], LogHead], *, epoch_ns: int) -> "LogWriter":
         """A log whose file is created by the thread, ``head()`` included; messages written meanwhile are queued.
         An error in creating the file is in ``failure``.
         """
         writer = cls.__new__(cls)
-        writer._prepare(NO_FILE, epoch_ns, False, queue_messages, queue_bytes)
+        writer._prepare(NO_FILE, epoch_ns, False, QUEUE_MESSAGES, QUEUE_BYTES)
         writer._head = head
         writer._thread.start()
         return writer

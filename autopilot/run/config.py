@@ -15,24 +15,20 @@ import platformdirs
 from autopilot.core.errors import ConfigError
 from autopilot.core.names import choice
 from autopilot.core.params import ParamSet
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 
 ENVIRONMENT_PREFIX = "AUTOPILOT_"
 """AUTOPILOT_STATE_DIR and so on: every setting's name in capitals."""
 
 PROFILES = ("generic", "px4", "ardusub")
-CONTROLLERS = ("nmpc", "los-pid")
-ESTIMATORS = ("ekf", "complementary")
-PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
 WIRES = ("serial", "camera", "pwm")
 """As :data:`autopilot.sitl.hil.WIRES`."""
 CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
-SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
-"""Entries of the plug-in tables (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
 _NAMES: dict[str, tuple[str, ...]] = {
-    **SHIPPED_PARTS,
+    **{kind: tuple(names) for kind, names in SHIPPED_PARTS.items()},
     "sensors": SENSORS,
     "currents": CURRENTS,
     "basin": BASINS,
@@ -146,7 +142,7 @@ def is_part(kind: str, name: str) -> bool:
     """Whether there may be a controller, estimator or plant of that name."""
     from autopilot.core.plugins import is_plugin_name  # not for --help
 
-    return is_plugin_name(kind, name, SHIPPED_PARTS[kind])
+    return is_plugin_name(kind, name)
 
 
 def name_to_use(setting: str, name: str) -> str:

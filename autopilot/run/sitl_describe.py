@@ -6,13 +6,11 @@ from typing import Any
 
 from autopilot import __version__
 from autopilot.command.service_parts import ServiceParts
-from autopilot.control.protocol import find_controller
-from autopilot.core.plugins import Plugin
-from autopilot.estimator.create import find_estimator
+from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
 from autopilot.run.config import EffectiveSettings, chosen_part
 from autopilot.run.describe import describe_service
-from autopilot.sitl.protocol import find_plant
 from autopilot.sitl.scenario_tables import MovingObstacle, PrismObstacle, Scenario, SphereObstacle
 from autopilot.sitl.scenario_tables import Obstacle as SolidTable
 
@@ -68,9 +66,7 @@ def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, P
     """By role. ConfigError for an unknown part."""
     plugins = scenario.plugins
     return {
-        "controller": _origin(find_controller(*chosen_part(settings, "controller", plugins.controller))),
-        "estimator": _origin(find_estimator(*chosen_part(settings, "estimator", plugins.estimator))),
-        "plant": _origin(find_plant(*chosen_part(settings, "plant", plugins.plant))),
+        kind: _origin(find_plugin(kind, *chosen_part(settings, kind, getattr(plugins, kind)))) for kind in SHIPPED_PARTS
     }
 
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.log.reader import Log
-from autopilot.run.config import PLANTS
 from autopilot.sitl.contact import Cylinder, MovingCylinder, Prism, Sphere, moved_to
 from autopilot.sitl.current_fields import WithFlow
 from autopilot.sitl.scenario_tables import Scenario, Tank
@@ -110,7 +110,7 @@ def logged_world(log: Log) -> tuple[LoggedWorld | None, str]:
     data, plant = log.attachments.get("scenario.json"), log.run.get("plant", "")
     if data is None:
         return None, ""
-    if plant not in ("", *PLANTS):
+    if plant not in ("", *SHIPPED_PARTS["plant"]):
         return None, f"the plant {plant} has a current of its own"
     try:
         return LoggedWorld(msgspec.json.decode(data, type=Scenario)), ""

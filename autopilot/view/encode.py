@@ -1,20 +1,22 @@
 """Encodes snapshots of the loop as JSON for the page. Pure functions, on the view's thread."""
 
 import base64
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from enum import Enum
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
 
+import msgspec
 import numpy as np
 
 from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Outputs, Severity
+from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Severity
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.analysis import STATE_FIELDS
 from autopilot.log.description import Point2, Point3, RunDescription
-from autopilot.log.log_session import LoggedTruth
 from autopilot.log.scene import outline
 from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_s
 from autopilot.view.controls import Steered
@@ -44,13 +46,14 @@ from autopilot.view.page_state import (
 DIGITS = 4
 """Decimals of numbers for the page: a tenth of a millimetre."""
 JPEG_QUALITY = 70
+BOUNDS = ("planar_speed_m_s", "heave_m_s", "yaw_rate_rad_s", "thrust_n")
+_View = TypeVar("_View", bound=msgspec.Struct)
 
 
 def scene_of(
     snapshot: TickSnapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool, pictures: bool
 ) -> SceneView:
     run, camera = snapshot.description, vehicle.camera if pictures else None
-    bounds = run.paper_bounds
     return SceneView(
         title=run.scenario,
         vehicle=run.vehicle,
@@ -64,13 +67,7 @@ def scene_of(
             for shape in run.fence
         ),
         places=run.waypoints,
-        limits=Limits(
-            planar_speed_m_s=bounds["planar_speed_m_s"],
-            heave_m_s=bounds["heave_m_s"],
-            yaw_rate_rad_s=bounds["yaw_rate_rad_s"],
-            thrust_n=bounds["thrust_n"],
-            solve_ms=1e3 * CONTROL_S,
-        ),
+        limits=Limits(**{name: run.paper_bounds[name] for name in BOUNDS}, solve_ms=1e3 * CONTROL_S),
         ages=age_limits(vehicle),
         thrusters=tuple(thruster.name for thruster in vehicle.thrusters),
         camera_px=None if camera is None else (camera.width_px, camera.height_px),
@@ -81,7 +78,7 @@ def scene_of(
 
 
 def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> ViewFrame:
-    out, mode = snapshot.outputs, snapshot.outputs.mode
+    out, mode, done = snapshot.outputs, snapshot.outputs.mode, snapshot.outputs.progress
     t_us, count = out.t_us, len(vehicle.thrusters)
     health, limits_s = snapshot.latest.thrusters, sensor_limits_s(vehicle)
     return ViewFrame(
@@ -97,23 +94,34 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
         failsafes=tuple(failsafe.name for failsafe in Failsafe if mode.failsafes >> failsafe & 1),
         estimate=None if out.nav is None else _estimate(out.nav, _age_s(t_us, _newest_us(snapshot, out.nav))),
         measured=_measured(snapshot, limits_s),
-        truth=None if snapshot.truth is None else _truth(snapshot.truth, count),
+        truth=None
+        if snapshot.truth is None
+        else _shown(
+            TrueState,
+            snapshot.truth,
+            thrust_n=_numbers(snapshot.truth.thrust_n[:count]),
+            contacts=snapshot.truth.contact_count,
+        ),
         solids=snapshot.solids,
         extra_current_ned_m_s=steered.extra_current_ned_m_s,
-        tracks=_tracks(snapshot),
+        tracks=tuple(
+            _shown(ObstacleView, track, number=number, age_s=_age_s(t_us, track.t_us))
+            for number, track in snapshot.latest.tracks.items()
+        ),
         clearance_m=None if out.nav is None else _clearance_m(snapshot.fence, out.nav),
-        goal=_goal(out),
-        progress=_progress(out),
+        goal=None if out.goal is None else _shown(GoalView, out.goal, item=out.goal.seq),
+        progress=None
+        if done is None
+        else ProgressView(state=done.state.name, item=done.current_seq, reached=done.reached_seq, lap=done.lap),
         control=_control(snapshot),
         thrust_n=_numbers(out.command.thrust_n[:count]),
         pwm_us=tuple(out.command.pwm_us[:count]),
         effectiveness=() if health is None else _numbers(health.effectiveness),
         sensors=tuple(
-            SensorView(
+            _shown(
+                SensorView,
+                aid,
                 name=aid.sensor,
-                state=aid.state.name,
-                test_ratio=_number(aid.test_ratio),
-                fused=aid.fused,
                 age_s=_age_s(t_us, aid.t_us),
                 limit_s=limits_s.get(aid.sensor, UNKNOWN_S),
             )
@@ -210,41 +218,41 @@ def _point3(values: FloatArray) -> Point3:
     return _number(first), _number(second), _number(third)
 
 
+def _shown(kind: type[_View], of: object, **named: object) -> _View:
+    """A view with the fields of ``of`` of the same names, rounded, but for those that are ``named``."""
+    taken = {name: _plain(getattr(of, name), hint) for name, hint in _hints(kind).items() if name not in named}
+    return kind(**taken, **named)
+
+
+_hints = cache(get_type_hints)
+_ROUNDED: dict[object, Callable[[Any], object]] = {
+    float: _number,
+    float | None: _number,
+    Point2: _point2,
+    Point3: _point3,
+}
+"""By the type that a field of a view has."""
+
+
+def _plain(value: Any, hint: object) -> object:
+    if value is None:
+        return None
+    if isinstance(value, Enum):
+        return value.name
+    rounded = _ROUNDED.get(hint)
+    return value if rounded is None else rounded(value)
+
+
 def _estimate(nav: NavState, age_s: float) -> Estimate:
     sigma = np.sqrt(np.maximum(nav.variance, 0.0))
-    return Estimate(
+    return _shown(
+        Estimate,
+        nav,
         age_s=age_s,
-        health=nav.health.name,
-        **{name: _point3(getattr(nav, name)) for name in STATE_FIELDS},
         sigma_pos_m=_point3(sigma[0:3]),
         sigma_yaw_rad=_number(sigma[5]),
         resets=nav.reset_count,
         doubts=tuple(sorted(doubt.value for doubt in nav.doubts)),
-    )
-
-
-def _truth(truth: LoggedTruth, count: int) -> TrueState:
-    return TrueState(
-        pos_ned_m=_point3(truth.pos_ned_m),
-        rpy_rad=_point3(truth.rpy_rad),
-        current_ned_m_s=_point3(truth.current_ned_m_s),
-        thrust_n=_numbers(truth.thrust_n[:count]),
-        power_w=_number(truth.power_w),
-        contacts=truth.contact_count,
-        contact_depth_m=_number(truth.contact_depth_m),
-    )
-
-
-def _tracks(snapshot: TickSnapshot) -> tuple[ObstacleView, ...]:
-    return tuple(
-        ObstacleView(
-            number=number,
-            pos_ned_m=_point2(track.pos_ned_m),
-            vel_ned_m_s=_point2(track.vel_ned_m_s),
-            radius_m=_number(track.radius_m),
-            age_s=_age_s(snapshot.outputs.t_us, track.t_us),
-        )
-        for number, track in snapshot.latest.tracks.items()
     )
 
 
@@ -256,28 +264,6 @@ def _clearance_m(fence: Fence, nav: NavState) -> float | None:
     return _number(min(gaps)) if gaps else None
 
 
-def _goal(out: Outputs) -> GoalView | None:
-    goal = out.goal
-    if goal is None:
-        return None
-    return GoalView(
-        pos_ned_m=_point3(goal.pos_ned_m),
-        yaw_rad=None if goal.yaw_rad is None else _number(goal.yaw_rad),
-        accept_radius_m=_number(goal.accept_radius_m),
-        accept_yaw_rad=_number(goal.accept_yaw_rad),
-        speed_m_s=_number(goal.speed_m_s),
-        speed_asked=goal.speed_asked,
-        item=goal.seq,
-    )
-
-
-def _progress(out: Outputs) -> ProgressView | None:
-    done = out.progress
-    if done is None:
-        return None
-    return ProgressView(state=done.state.name, item=done.current_seq, reached=done.reached_seq, lap=done.lap)
-
-
 def _control(snapshot: TickSnapshot) -> Control | None:
     control, plan, goal = snapshot.latest.control, snapshot.latest.plan, snapshot.outputs.goal
     if control is None:
@@ -285,17 +271,13 @@ def _control(snapshot: TickSnapshot) -> Control | None:
     if plan is not None and (goal is None or plan.seq != goal.seq):
         plan = None  # of the goal before
     status, tubed = control.status, len(control.horizon_ned_m) == len(control.tube_m)
-    return Control(
-        status=status.status.name,
-        fallback=status.fallback.name,
+    return _shown(
+        Control,
+        status,
         age_s=_age_s(snapshot.outputs.t_us, status.t_us),
         solve_ms=_number(1e3 * status.solve_s),
-        iterations=status.iterations,
-        cost=_number(status.cost),
         slack=_number(status.slack_max),
-        margin_m=_number(status.margin_m),
         tube_now_m=_number(status.tube_m),
-        penalty_use=_number(status.penalty_use),
         horizon_ned_m=tuple(_point3(place) for place in control.horizon_ned_m),
         route_ned_m=tuple(_point2(place) for place in control.route_ned_m),
         tube_m=_numbers(control.tube_m) if tubed else (),
@@ -324,24 +306,20 @@ def _battery(snapshot: TickSnapshot) -> BatteryView | None:
     power = snapshot.latest.power
     if power is None:
         return None
-    return BatteryView(
-        age_s=_age_s(snapshot.outputs.t_us, snapshot.latest.received_us.get("battery", power.t_us)),
-        voltage_v=_number(power.voltage_v),
-        current_a=_number(power.current_a),
-        energy_used_j=_number(power.energy_used_j),
-        remaining=_number(power.remaining),
-    )
+    received_us = snapshot.latest.received_us.get("battery", power.t_us)
+    return _shown(BatteryView, power, age_s=_age_s(snapshot.outputs.t_us, received_us))
 
 
 def _loop(snapshot: TickSnapshot) -> Loop | None:
     stats = snapshot.latest.loop
     if stats is None:
         return None
-    return Loop(
+    return _shown(
+        Loop,
+        stats,
         age_s=_age_s(snapshot.outputs.t_us, stats.t_us),
         longest_tick_ms=_number(1e3 * stats.tick_s),
         cpu_share=_number(stats.cpu_s),
-        overruns=stats.overruns,
         lost_messages=stats.dropped_log,
         lost_pictures=stats.dropped_frames,
         late_part=stats.late_part.name.lower(),

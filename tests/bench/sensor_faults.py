@@ -211,15 +211,3 @@ def flight_tables(flight: FaultFlight) -> dict[str, Any]:
         at_s = flight.at_s + LEAD_S
         faults.append({"kind": "camera_blackout", "at_s": at_s, "duration_s": flight.gap_s})
     return {**tables, "fault": faults} if faults else tables
-
-
-def line(name: str, result: FaultResult) -> str:
-    """One row of the raw table."""
-    blamed = "blamed" if result.thrusters_blamed else ""
-    return (
-        f"{name:44s} in {100 * result.inside:5.1f} %"
-        f"  worst {result.worst_m:6.3f} m (3 sigma {result.worst_claim_m:6.3f})"
-        f"  yaw {math.degrees(result.worst_yaw_rad):5.1f}  silent {result.unflagged_s:4.1f} s  good"
-        f" {100 * result.good:3.0f} %  resets {result.resets:2d}  contacts {result.contacts}"
-        f" {'kept' if result.kept else 'NO'} {blamed}"
-    )

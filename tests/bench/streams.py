@@ -25,6 +25,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.smoothness import BARS, Smoothness, ThrustCommands, measure
 from autopilot.mission.upstream import MadeGood
+from tests.control.control_loop import goal as goal_at
 from tests.control.control_loop import inside, rk4
 
 VEHICLES = ("lbv150", "bluerov2", "bluerov2-heavy")
@@ -102,14 +103,8 @@ def draw(seed: int) -> Draw:
     place = rng.uniform(-1.0, 1.0, 2) * (half - keep)
     if np.hypot(*(place - pillar)) < keep + PILLAR_M:
         place = here
-    goal = Goal(
-        pos_ned_m=np.array([*(place @ along), 0.5]),
-        yaw_rad=None if rng.uniform() < 0.2 else float(rng.uniform(-math.pi, math.pi)),
-        speed_m_s=0.35,
-        accept_radius_m=0.3,
-        accept_yaw_rad=0.15,
-        seq=0,
-    )
+    north, east = (place @ along).tolist()
+    yaw_rad = None if rng.uniform() < 0.2 else float(rng.uniform(-math.pi, math.pi))
     return Draw(
         vehicle=vehicle.name,
         stream_m_s=stream,
@@ -117,7 +112,7 @@ def draw(seed: int) -> Draw:
         thrust=thrust,
         drag=drag,
         start=np.array([*(here @ along), 0.5, wrap_pi(to + math.pi), speed, 0.0, 0.0, 0.0]),
-        goal=goal,
+        goal=goal_at(north, east, 0.5, yaw_rad),
         pillar_m=pillar @ along,
         lee_m=LEE_M if speed < 0.95 * fastest else OPEN_M,
     )

@@ -4,13 +4,14 @@ Time is virtual: it passes while the client waits. The vehicle under the server 
 """
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import GeodeticPosition, Origin
-from autopilot.core.messages import Event, MavlinkFrame, ProgressState, RunEnd
+from autopilot.core.messages import Event, MavlinkFrame, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
@@ -18,20 +19,19 @@ from autopilot.mission.sequencer import Sequencer
 from autopilot.mission.store import Plans
 from tests import plan_items
 from tests.lossy_link import LinkConditions, LossyLink
+from tests.mavlink.mavlink_harness import OK, TICK_US, RecordingVehicle, base_view
 
-TICK_US = 10_000
 RADIUS_M = 0.3
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
 _POINT = GeodeticPosition(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
-OK = CommandReply(result=CommandResult.ACCEPTED)
-NO = CommandReply(result=CommandResult.UNSUPPORTED)
 PERFECT = LinkConditions()
 
 
-class StraightVehicle:
-    """Arms, starts missions, and goes straight to every goal at 1 m/s."""
+class StraightVehicle(RecordingVehicle):
+    """Arms, starts missions, and goes straight to every goal at 1 m/s; knows nothing else."""
 
     def __init__(self, plans: Plans, params: ParamSet) -> None:
+        super().__init__()
         self.plans = plans
         self.sequencer = Sequencer(params)
         self.loaded = -1
@@ -40,6 +40,9 @@ class StraightVehicle:
         self.yaw = 0.0
         self.not_ready = ""
         self.starts = 0
+
+    def _note(self, name: str, *args: Any) -> CommandReply:
+        return CommandReply(result=CommandResult.UNSUPPORTED)
 
     def arm(self, force: bool) -> CommandReply:
         if self.not_ready and not force:
@@ -51,42 +54,12 @@ class StraightVehicle:
         self.armed = False
         return OK
 
-    def disarmed(self) -> CommandReply:
-        return OK
-
     def start_mission(self, first_seq: int | None) -> CommandReply:
         if not self.armed or not self.plans.steps():
             return CommandReply(result=CommandResult.DENIED, reason="Mission start refused: not armed or no mission")
         self.starts += 1
         self.sequencer.start(first_seq)
         return OK
-
-    def set_mode(self, mode: FlightMode) -> CommandReply:
-        return NO
-
-    def pause(self) -> CommandReply:
-        return NO
-
-    def resume(self) -> CommandReply:
-        return NO
-
-    def set_current_item(self, seq: int, *, reset: bool = False) -> CommandReply:
-        return NO
-
-    def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
-        return NO
-
-    def change_speed(self, speed_m_s: float | None) -> CommandReply:
-        return NO
-
-    def set_home(self, point: GeodeticPosition | None) -> CommandReply:
-        return NO
-
-    def set_origin(self, point: GeodeticPosition) -> CommandReply:
-        return NO
-
-    def end_run(self, end: RunEnd) -> CommandReply:
-        return NO
 
     def tick(self, t_us: int) -> tuple[tuple[int, ...], VehicleView]:
         """Items reached, and what telemetry shows."""
@@ -100,7 +73,7 @@ class StraightVehicle:
             self.pos = self.pos + off * min(1.0, 0.01 / max(float(np.linalg.norm(off)), 1e-9))
             turn = 0.0 if out.goal.yaw_rad is None else wrap_pi(out.goal.yaw_rad - self.yaw)
             self.yaw = wrap_pi(self.yaw + max(-0.02, min(0.02, turn)))
-        view = VehicleView(
+        view = base_view(
             t_us=t_us,
             armed=self.armed,
             mode=FlightMode.HOLD,
@@ -115,10 +88,7 @@ class StraightVehicle:
             arming_reasons=(
                 (ArmingReason(f"plan: {self.plans.problem}", HealthComponent.MISSION),) if self.plans.problem else ()
             ),
-            failsafes=0,
             cpu_load=0.0,
-            under_way=True,
-            dropped_rx=0,
         )
         return out.reached, view
 

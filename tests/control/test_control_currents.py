@@ -1,6 +1,7 @@
 """The beliefs about the water: estimate, map with a memory of what it lacked, none."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from autopilot.control.current.currents import (
     PointwiseField,
 )
 from autopilot.core.messages import NavHealth, NavState
+from tests.plan_items import nav
 
 
 def _nav(
@@ -24,14 +26,10 @@ def _nav(
     t_s: float = 2.0,
     health: NavHealth = NavHealth.GOOD,
 ) -> NavState:
-    return NavState(
-        t_us=round(t_s * 1e6),
-        health=health,
-        pos_ned_m=np.array(pos),
-        rpy_rad=np.zeros(3),
+    return replace(
+        nav(*pos, t_us=round(t_s * 1e6), health=health),
         vel_frd_m_s=np.array([0.3, 0.0, 0.0]),
         vel_water_frd_m_s=np.array([0.1, 0.0, 0.0]),
-        rate_frd_rad_s=np.zeros(3),
         current_ned_m_s=np.array(current),
         variance=np.full(12, 1e-4),
     )

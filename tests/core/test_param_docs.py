@@ -1,29 +1,6 @@
-"""The table of parameters in docs/parameters.md is the program's."""
-
-import importlib.util
-from pathlib import Path
-from types import ModuleType
-
-import pytest
+"""Parameters that docs/parameters.md gives one row for several."""
 
 from autopilot.core.params import PARAMETERS
-
-DOCS = Path(__file__).parents[2] / "docs"
-
-
-@pytest.fixture(name="script")
-def script_fixture(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(DOCS)  # the module beside it
-    spec = importlib.util.spec_from_file_location("parameters_page", DOCS / "parameters_page.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_documented_parameters_are_the_programs(script: ModuleType) -> None:
-    text = (DOCS / "parameters.md").read_text(encoding="utf-8")
-    assert text == script.written(text), "run python docs/parameters_page.py --write"
 
 
 def test_numbered_parameters_that_share_a_row_differ_in_nothing_else() -> None:

@@ -21,6 +21,7 @@ from autopilot.sitl.backend import simulated_vehicle
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.protocol import PlantContext, PlantLike, create_plant
 from autopilot.sitl.scenario import load_scenario
+from tests.control.control_loop import goal
 
 VEHICLE = load_vehicle("lbv150")
 MODEL = VEHICLE.to_model()
@@ -33,14 +34,7 @@ TANK = Fence(
 )
 """A pillar stands on the straight line from START to GOAL."""
 START = (-1.5, 0.05, 0.6, 0.4, 0.0, 0.0, 0.0, 0.0)
-GOAL = Goal(
-    pos_ned_m=np.array([1.5, 0.0, 0.4]),
-    yaw_rad=-0.5,
-    speed_m_s=0.3,
-    accept_radius_m=0.3,
-    accept_yaw_rad=0.15,
-    seq=0,
-)
+GOAL = goal(1.5, 0.0, 0.4, -0.5, speed_m_s=0.3)
 CURRENT = np.array([0.05, -0.08, 0.0])
 
 

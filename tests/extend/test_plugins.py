@@ -8,15 +8,14 @@ import pytest
 
 from autopilot.control.current.currents import NoCurrent
 from autopilot.control.path.workers import BackgroundWorkers
-from autopilot.control.protocol import CONTROLLERS, Controller, ControllerContext, create_controller, find_controller
+from autopilot.control.protocol import Controller, ControllerContext, create_controller
 from autopilot.core.errors import ConfigError
+from autopilot.core.plugins import find_plugin
+from autopilot.core.shipped_parts import SHIPPED_PARTS
 from autopilot.core.vehicle import load_vehicle
-from autopilot.estimator.create import ESTIMATORS, create_estimator
-from autopilot.run.config import CONTROLLERS as CONTROLLER_NAMES
-from autopilot.run.config import ESTIMATORS as ESTIMATOR_NAMES
-from autopilot.run.config import PLANTS as PLANT_NAMES
+from autopilot.estimator.create import create_estimator
 from autopilot.run.config import chosen_part, gather, sitl_defaults
-from autopilot.sitl.protocol import PLANTS, PlantContext, create_plant
+from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
@@ -48,16 +47,10 @@ def make(given): return Quiet(given)
 """
 
 
-def test_names_on_the_command_line_are_those_of_the_rooms() -> None:
-    assert tuple(CONTROLLERS) == CONTROLLER_NAMES
-    assert tuple(ESTIMATORS) == ESTIMATOR_NAMES
-    assert tuple(PLANTS) == PLANT_NAMES
-
-
 @pytest.mark.parametrize("spec", [f"{WRITTEN}:Quiet", f"{WRITTEN}:make"])
 def test_a_class_or_a_function_of_any_module(lab: Callable[[str], None], spec: str) -> None:
     lab(GOOD)
-    found = find_controller(spec)
+    found = find_plugin("controller", spec)
     assert (found.name, found.target, found.version) == (spec, spec, "")
     assert len(found.sha256) == 64
     made = create_controller(spec, context())
@@ -72,13 +65,13 @@ def test_an_installed_package_offers_a_name_and_its_version_is_kept(lab: Callabl
     (info / "entry_points.txt").write_text(
         f"[underwater_autopilot.controllers]\nquiet = {WRITTEN}:Quiet\nnmpc = {WRITTEN}:Quiet\n"
     )
-    found = find_controller("quiet")
+    found = find_plugin("controller", "quiet")
     assert (found.target, found.version) == (f"{WRITTEN}:Quiet", "my-lab 1.2.3")
     assert type(create_controller("quiet", context())).__name__ == "Quiet"
     # What ships under a name stays what it is.
-    assert find_controller("nmpc").target == CONTROLLERS["nmpc"]
+    assert find_plugin("controller", "nmpc").target == SHIPPED_PARTS["controller"]["nmpc"]
     with pytest.raises(ConfigError, match=r"'loud' is not known; use one of nmpc, los-pid, quiet, or package:Class"):
-        find_controller("loud")
+        find_plugin("controller", "loud")
 
 
 METHODS = "def step(self, t_us, nav, goal, fence, params, thruster_limit_n, tracks, *, delay_s): ..."

@@ -283,12 +283,15 @@ def test_info(run_log: Path, tmp_path: Path) -> None:
 
 
 def test_unreadable_logs_give_one_line(tmp_path: Path) -> None:
-    junk = tmp_path / "junk.mcap"
-    junk.write_bytes(b"junk")
+    junk, empty, none = (tmp_path / f"{name}.mcap" for name in ("junk", "empty", "none"))
+    junk.write_bytes(b"not a log at all" * 64)
+    empty.write_bytes(b"")
     for command in ("info", "check", "report", "plot"):
-        for path in (junk, tmp_path / "none.mcap"):
+        for path in (junk, empty, none):
             code, out = call(command, path)
             assert code == 1 and out.startswith("error: ") and out.count("\n") == 1 and str(path) in out
+            assert path is not none or "check the name" in out
+    assert sorted(tmp_path.iterdir()) == [empty, junk], "nothing is left"
 
 
 def test_check(run_log: Path, bad_log: Path, tmp_path: Path) -> None:

@@ -19,10 +19,19 @@ from autopilot.core.messages import (
     RunEnd,
     ThrusterCommand,
 )
-from autopilot.core.params import ParamSet
+from autopilot.core.params import ParamSet, Saved
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
+from autopilot.mavlink.api import (
+    Circling,
+    CommandReply,
+    CommandResult,
+    FlightMode,
+    MotorTest,
+    SetPoint,
+    SigningState,
+    VehicleView,
+)
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Change, plan_checksum
 from tests.lossy_link import LinkConditions, LossyLink
@@ -83,6 +92,25 @@ class MemoryPlans:
                 self.stored[kind] = items
                 self.replaced.append((kind, len(items)))
         change.end(self.veto)
+
+
+class MemoryStore:
+    """Signing key and time on a disk in memory."""
+
+    def __init__(self, key: bytes | None, stamp: int = 0) -> None:
+        self.state = SigningState(key, stamp)
+        self.kept: list[SigningState] = []
+        self.failure = ""
+        self._told = 0
+
+    def keep(self, tick: int, state: SigningState) -> None:
+        self.kept.append(state)
+
+    def poll(self, tick: int) -> Saved | None:
+        if self._told == len(self.kept):
+            return None
+        self._told = len(self.kept)
+        return Saved(number=self._told, failure=self.failure)
 
 
 class RecordingVehicle:

@@ -6,33 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mavlink_harness import Client, World, mav
+from mavlink_harness import Client, MemoryStore, World, mav
 
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
 from autopilot.log.directory_reader import LogDirectoryReader
-from autopilot.mavlink.api import CommandResult, SigningState
+from autopilot.mavlink.api import CommandResult
 from autopilot.mavlink.operators import GRAVE, GRAVE_COMMANDS
 
 TAKE, REBOOT, STORAGE = 32100, mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE
 KEY = bytes(range(32))
-
-
-class Store:
-    """A disk for a key."""
-
-    def __init__(self) -> None:
-        self.state = SigningState(None, 0)
-
-    def keep(self, tick: int, state: SigningState) -> None:
-        self.state = state
-
-    def poll(self, tick: int) -> str | None:
-        return None
-
-    def finish(self) -> None:
-        pass
 
 
 def message(made: Any) -> Callable[[Client], object]:
@@ -65,7 +49,7 @@ def disarmed(folder: Path) -> tuple[World, Client, Client, Client]:
     (folder / "2026-11-22").mkdir()
     log = folder / "2026-11-22" / "10_00_00.mcap"
     log.write_bytes(bytes(100))
-    world = World(links=(0, 1), signing=Store(), log_directory=LogDirectoryReader(folder, BackgroundWorker()))
+    world = World(links=(0, 1), signing=MemoryStore(None), log_directory=LogDirectoryReader(folder, BackgroundWorker()))
     world.show(armed=False, under_way=False)
     who = Near(world, sysid=66, compid=7, number=1)
     world.clients.append(who)

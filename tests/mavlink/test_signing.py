@@ -14,14 +14,13 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from mavlink_harness import World, mav
+from mavlink_harness import MemoryStore, World, mav
 
 from autopilot.cli.main import cli
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.clients import Reach
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import MavlinkFrame
-from autopilot.core.params import Saved
 from autopilot.mavlink.api import AHEAD_UNITS, SigningState
 from autopilot.mavlink.dialect import extra
 from autopilot.mavlink.signing import MAX_STREAMS
@@ -31,25 +30,6 @@ KEY, OTHER = bytes(range(32)), hashlib.sha256(b"other").digest()
 NOW_S = EPOCH_S + 370_000_000.0
 NOW = 370_000_000 * 100_000
 DISARM = (0.0, 21196.0)
-
-
-class MemoryStore:
-    """A disk in memory."""
-
-    def __init__(self, key: bytes | None, stamp: int = NOW) -> None:
-        self.state = SigningState(key, stamp)
-        self.kept: list[SigningState] = []
-        self.failure = ""
-        self._told = 0
-
-    def keep(self, tick: int, state: SigningState) -> None:
-        self.kept.append(state)
-
-    def poll(self, tick: int) -> Saved | None:
-        if self._told == len(self.kept):
-            return None
-        self._told = len(self.kept)
-        return Saved(number=self._told, failure=self.failure)
 
 
 class Remote:
@@ -96,7 +76,7 @@ def test_without_a_key_unsigned_frames_are_obeyed_and_signed_ones_are_of_a_stran
 
 
 def test_with_a_key_only_its_frames_are_obeyed_and_all_that_goes_out_is_signed() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     Remote(world, None, sysid=66).disarm()
     Remote(world, None, sysid=66, reach=Reach.MACHINE).disarm()
     Remote(world, OTHER, sysid=66).disarm()
@@ -115,7 +95,7 @@ def test_with_a_key_only_its_frames_are_obeyed_and_all_that_goes_out_is_signed()
 
 
 def test_events_go_out_signed_and_are_sent_again_to_who_signs() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     friend, stranger = Remote(world, KEY), Remote(world, None, sysid=66)
     heard = [message.get_type() for _ in range(200) for message in friend.give(b"")]
     assert "EVENT" in heard and "BAD_DATA" not in heard
@@ -127,7 +107,7 @@ def test_events_go_out_signed_and_are_sent_again_to_who_signs() -> None:
 
 
 def test_a_program_of_this_machine_need_not_sign_where_the_operator_says_so() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     world.params.set("SIGN_LOCAL", 1)
     world.tick()
     Remote(world, None, sysid=66).disarm()
@@ -139,7 +119,7 @@ def test_a_program_of_this_machine_need_not_sign_where_the_operator_says_so() ->
 
 
 def test_parts_of_the_service_and_radios_need_no_signature() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     Remote(world, None, reach=Reach.PROCESS).disarm()
     assert calls(world) == ["disarm"]
     radio = Remote(world, None, sysid=51)
@@ -148,7 +128,7 @@ def test_parts_of_the_service_and_radios_need_no_signature() -> None:
 
 
 def test_recorded_frames_are_not_obeyed_again() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     friend = Remote(world, KEY)
     data = friend.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
     friend.give(data)
@@ -160,7 +140,7 @@ def test_recorded_frames_are_not_obeyed_again() -> None:
 
 def test_a_key_that_comes_back_does_not_make_recorded_frames_new() -> None:
     """Found by the fuzzer: with a new key the times of all senders were forgotten, and the old one came back."""
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     client = Remote(world, KEY)
     recorded = client.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
     client.give(recorded)
@@ -277,7 +257,7 @@ def test_a_client_whose_clock_is_far_ahead_is_heard_once_the_disk_has_its_time(t
 
 
 def test_a_disk_that_fails_does_not_make_the_vehicle_deaf() -> None:
-    store = MemoryStore(KEY)
+    store = MemoryStore(KEY, NOW)
     store.failure = "disk full"
     world = World(signing=store)
     station = Station(world, 600.0, follows=False, sysid=10)
@@ -289,7 +269,7 @@ def test_a_disk_that_fails_does_not_make_the_vehicle_deaf() -> None:
 
 
 def test_of_more_senders_than_are_remembered_none_is_heard_twice() -> None:
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     first = Remote(world, KEY, sysid=1)
     first.mav.signing.timestamp = NOW + 100
     recorded = first.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
@@ -323,7 +303,7 @@ def setup(key: bytes = KEY, stamp: int = NOW) -> Any:
 
 
 def test_a_key_is_taken_from_this_machine_only_and_only_disarmed() -> None:
-    world = World(signing=(store := MemoryStore(None)))
+    world = World(signing=(store := MemoryStore(None, NOW)))
     world.show(armed=False)
     remote = Remote(world, None)
     remote.give(remote.pack(setup()))
@@ -590,7 +570,7 @@ def test_an_operator_who_is_gone_is_not_in_control(world: World) -> None:
 
 def test_a_signed_frame_with_one_bit_turned_is_nobodys() -> None:
     rng = random.Random(3)
-    world = World(signing=MemoryStore(KEY))
+    world = World(signing=MemoryStore(KEY, NOW))
     friend = Remote(world, KEY)
     for _ in range(300):
         data = bytearray(friend.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0)))

@@ -1,8 +1,9 @@
 """A BlueROV2 with the emulated ArduSub in the paper's tank, and the service that flies it, in lockstep."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
@@ -129,3 +130,17 @@ class Tank:
         self.session.close()
         self._wire.close()
         self._client.close()
+
+
+T = TypeVar("T", bound=Tank)
+
+
+@contextlib.contextmanager
+def tanks(kind: type[T], folder: Path) -> Iterator[Callable[..., T]]:
+    """Makes them, with parameters; all are closed at the end."""
+    with contextlib.ExitStack() as stack:
+
+        def make(**parameters: float) -> T:
+            return stack.enter_context(contextlib.closing(kind(folder, **parameters)))
+
+        yield make

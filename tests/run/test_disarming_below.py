@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ardusub_tank import Tank
+from ardusub_tank import Tank, tanks
 
 from autopilot.command.disarming import CONFIRM_US
 from autopilot.core.clock import TICK_US
@@ -85,15 +85,8 @@ class Watched(Tank):
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Callable[..., Watched]]:
-    made: list[Watched] = []
-
-    def tank(**parameters: float) -> Watched:
-        made.append(Watched(tmp_path, **parameters))
-        return made[-1]
-
-    yield tank
-    for each in made:
-        each.close()
+    with tanks(Watched, tmp_path) as made:
+        yield made
 
 
 def _prepare(tank: Watched, ours: str, below: str) -> None:

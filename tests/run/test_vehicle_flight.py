@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ardusub_tank import Tank
+from ardusub_tank import Tank, tanks
 
 from autopilot.core.messages import Outputs
 from autopilot.log.reader import open_log
@@ -17,15 +17,8 @@ from autopilot.run.vehicle_config import config_names, load_config
 
 @pytest.fixture
 def tank(tmp_path: Path) -> Iterator[Callable[..., Tank]]:
-    made: list[Tank] = []
-
-    def make(**parameters: float) -> Tank:
-        made.append(Tank(tmp_path, **parameters))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
+    with tanks(Tank, tmp_path) as made:
+        yield made
 
 
 class Held:

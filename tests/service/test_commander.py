@@ -188,6 +188,7 @@ def test_go_to_is_checked_against_the_fence(bench: Bench) -> None:
     assert goal.pos_ned_m == pytest.approx([0.0, 0.8, 0.4], abs=1e-3)
     for bad in [(0.9375, 0.1, 0.4), (3.0, 0.0, 0.4), (0.0, 0.8, -0.5), (0.0, 0.8, 1.4)]:
         assert go(*bad).result is CommandResult.DENIED
+    assert go(16.44, 0.0, 0.5).reason == "Go-to denied: target 13.9 m outside of the fence, keep 0.33 m"
     kept = bench.run().goal
     assert kept is not None
     assert kept.pos_ned_m == pytest.approx(goal.pos_ned_m)

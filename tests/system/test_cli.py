@@ -21,7 +21,6 @@ from wire_client import Harbour, WireClient
 
 from autopilot.cli.main import cli, run
 from autopilot.core.param_file import scan_param_file
-from autopilot.mission.plan_files import read_plan
 from autopilot.run.children import Child, autopilot_command, free_port
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -244,10 +243,6 @@ def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path)
     [
         (("sitl", "missing.toml"), ("missing.toml", "check the name")),
         (("config", "show", "missing.toml"), ("missing.toml", "check the name")),
-        (("log", "info", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "check", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "report", "missing.mcap"), ("missing.mcap", "check the name")),
-        (("log", "plot", "missing.mcap"), ("missing.mcap", "check the name")),
         (("mission", "check", "missing.plan"), ("missing.plan", "check the name")),
         (("mission", "upload", "missing.plan"), ("missing.plan", "check the name")),
         (("mission", "start", "missing.plan"), ("missing.plan", "check the name")),
@@ -337,19 +332,6 @@ def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:
     assert "J/m (1.00 times)" in done.out.splitlines()[0]
 
 
-@pytest.mark.parametrize("share", [0.97, 0.5, 0.1])
-def test_truncated_log(autopilot: Command, flown: Path, share: float) -> None:
-    """What is readable is shown, what is lost is said, the exit code says so, and the file stays as it is."""
-    data = flown.read_bytes()
-    cut = data[: int(share * len(data))]
-    flown.write_bytes(cut)
-    done = autopilot("log", "info", str(flown))
-    assert done.code == 3
-    assert "loss:" in done.out
-    assert done.err == ""
-    assert flown.read_bytes() == cut
-
-
 def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: Command, flown: Path) -> None:
     data = flown.read_bytes()
     flown.write_bytes(data[: len(data) // 2])
@@ -359,29 +341,6 @@ def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: 
         assert done.out.strip()
         assert len(done.err.splitlines()) == 1
         assert "cut off" in done.err
-
-
-def test_corrupted_log(autopilot: Command, flown: Path) -> None:
-    data = bytearray(flown.read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 64] = bytes(64)
-    flown.write_bytes(data)
-    done = autopilot("log", "info", str(flown))
-    assert done.code == 3
-    assert "loss:" in done.out
-
-
-@pytest.mark.parametrize("content", [b"", b"not a log at all" * 64, b"\x89MCAP0\r\n"])
-@pytest.mark.parametrize("command", ["info", "check", "report", "plot"])
-def test_not_a_log(autopilot: Command, tmp_path: Path, command: str, content: bytes) -> None:
-    file = tmp_path / "other.mcap"
-    file.write_bytes(content)
-    done = autopilot("log", command, str(file))
-    assert done.code in (1, 3)
-    assert "Traceback" not in done.err
-    if done.code == 1:
-        _assert_refused(done, str(file))
-    assert _files(tmp_path) == [file]
 
 
 def test_a_file_that_ends_early_is_no_interrupt() -> None:
@@ -420,26 +379,6 @@ def test_interrupt_ends_well(tmp_path: Path) -> None:
     opened = open_log(log)
     opened.verify()
     assert opened.problems == ()
-
-
-def test_refused_upload_is_one_line(service: Callable[..., RunningService], autopilot: Command, tmp_path: Path) -> None:
-    """Against a vehicle in another process: exit code 1, the vehicle's reason once, its plan as before."""
-    vehicle = ("--connect", f"udpout:127.0.0.1:{service().port}", "--patience", "600")
-    assert autopilot("mission", "upload", str(PAPER_PLAN), *vehicle) == Done(
-        0, "accepted: fence 6 items, rally 0 items, mission 4 items\n", ""
-    )
-    bad = tmp_path / "bad.plan"
-    bad.write_text(re.sub(r"37\.97551\d*", "37.9755084", PLAN_TEXT))
-    done = autopilot("mission", "upload", str(bad), *vehicle)
-    assert done.code == 3
-    assert done.err.count("item 1 (QGC 2) is 0.16 m inside exclusion circle (fence item 5): move it") == 1
-    bad.write_text(re.sub(r"-0\.3\b", "-30.0", PLAN_TEXT))
-    done = autopilot("mission", "upload", str(bad), *vehicle)
-    _assert_refused(done, "Mission refused", "item 1", "DEPTH_MAX", "use 0.05 to 1.2 m")
-    assert autopilot("mission", "upload", str(PAPER_PLAN), *vehicle).code == 0
-    copy = tmp_path / "copy.plan"
-    assert autopilot("mission", "download", str(copy), *vehicle).code == 0
-    assert read_plan(copy).mission[1].x == read_plan(PAPER_PLAN).mission[1].x
 
 
 def test_help_names_every_command(autopilot: Command) -> None:

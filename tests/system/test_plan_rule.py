@@ -99,18 +99,6 @@ def test_a_mission_into_an_obstacle_in_the_order_of_a_ground_station(harbour: Op
     assert commander.mode.name == "MISSION"
 
 
-def test_mode_chosen_before_arming_does_not_start_what_became_unfit(harbour: Open) -> None:
-    made, client = harbour()
-    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
-    assert made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION) == ACCEPTED
-    (text,) = _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], replace(PLAN.fence[4], param1=1.0))))
-    assert "item 0 (QGC 1) is" in text
-    assert made.command(client, ARM, 1.0) == DENIED
-    assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
-    made.run(0.5)
-    assert made.session.parts.commander.mode.name == "HOLD"
-
-
 def test_a_paused_mission_does_not_go_on_when_its_fence_has_changed(harbour: Open) -> None:
     made, client = harbour(FENCE_ARMED_CHG=1.0)
     _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
@@ -125,29 +113,6 @@ def test_a_paused_mission_does_not_go_on_when_its_fence_has_changed(harbour: Ope
     assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
     assert "Plan ok" in client.texts(least=mav.MAV_SEVERITY_INFO)
     assert made.command(client, PAUSE_CONTINUE, 1.0) == ACCEPTED
-
-
-def test_parameters_in_flight_and_on_the_ground(harbour: Open) -> None:
-    """DEPTH_MAX above the mission: a running mission holds, then nothing arms, and mending it is told."""
-    made, client = harbour()
-    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
-    assert made.command(client, ARM, 1.0) == ACCEPTED
-    assert made.command(client, START) == ACCEPTED
-    made.run(0.5)
-    client.inbox.clear()
-    client.send(mav.MAVLink_param_set_message(1, 1, b"DEPTH_MAX", 0.4, 9))
-    made.run(0.3)
-    assert made.session.parts.commander.mode.name == "HOLD"
-    (text,) = client.texts()
-    assert text.startswith("Holding: item 0 (QGC 1): depth 0.45 m, DEPTH_MAX 0.4 m: use 0.05 to 0.4 m")
-    assert set(_every_way_to_start(made, client).values()) == {DENIED}
-    assert made.command(client, ARM, 0.0) == ACCEPTED
-    assert made.command(client, ARM, 1.0) == DENIED
-    client.inbox.clear()
-    client.send(mav.MAVLink_param_set_message(1, 1, b"DEPTH_MAX", 1.2, 9))
-    made.run(0.3)
-    assert client.texts(least=mav.MAV_SEVERITY_INFO) == ["Plan ok"]
-    assert made.command(client, ARM, 1.0) == ACCEPTED
 
 
 def test_an_armed_vehicle_keeps_its_fence(harbour: Open) -> None:
@@ -200,18 +165,6 @@ def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
     assert [m.type for m in client.received("MISSION_ACK")] == [MissionResult.ACCEPTED] * 2, (
         "said again when asked again"
     )
-
-
-def test_go_to_outside_of_the_fence_says_how_far(harbour: Open) -> None:
-    made, client = harbour()
-    _upload(made, client, (PlanKind.FENCE, PLAN.fence))
-    assert made.command(client, ARM, 1.0) == ACCEPTED
-    client.inbox.clear()
-    frame, command = mav.MAV_FRAME_LOCAL_NED, mav.MAV_CMD_DO_REPOSITION
-    client.send(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, -1, 1, 0, 0, 164_400, 0, 0.5))
-    made.run(0.1)
-    assert [m.result for m in client.received("COMMAND_ACK")] == [DENIED]
-    assert client.texts() == ["Go-to denied: target 13.9 m outside of the fence, keep 0.33 m"]
 
 
 def test_a_wall_between_the_vehicle_and_the_first_place_forbids_arming_and_starting(harbour: Open) -> None:

@@ -248,33 +248,6 @@ def test_a_serial_link_that_goes_is_named_once_and_comes_back(opened: OpenSessio
     os.close(device)
 
 
-def test_a_stranger_is_not_heard_on_udpout(opened: OpenSession) -> None:
-    """A forced disarm from another address than the target's is no command."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end,
-    ):
-        target.bind((LOCAL, 0))
-        target.settimeout(PATIENCE_S)
-        try:
-            end.bind(("127.0.0.9", 0))
-        except OSError:
-            pytest.skip("one loopback address only")
-        session = opened(f"udpout:{LOCAL}:{target.getsockname()[1]}")
-        harbour = Harbour(session)
-        harbour.run(0.02)
-        _, vehicle = target.recvfrom(4096)
-        assert vehicle[0] == LOCAL
-        commands: dict[str, list[int]] = {}
-        for who, own in (("stranger", end), ("target", target)):
-            own.connect(vehicle)
-            station = Station(own)
-            station.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
-            harbour.run(0.05)
-            commands[who] = [m.result for m in hear_all(station) if m.get_type() == "COMMAND_ACK"]
-        assert commands == {"stranger": [], "target": [0]}
-
-
 @pytest.mark.parametrize(("kind", "sort"), [("udpin", socket.SOCK_DGRAM), ("tcpin", socket.SOCK_STREAM)])
 def test_a_client_of_this_machine_is_known_as_such(kind: str, sort: socket.SocketKind) -> None:
     """It may give the vehicle a signing key."""
@@ -310,19 +283,6 @@ class Broken:
 
     def close(self) -> None:
         pass
-
-
-def test_a_driver_that_raises_ends_nothing_and_is_named_once() -> None:
-    now_s = [0.0]
-    transport = Transport([Broken(), open_link(f"udpin:{LOCAL}:{free_port()}")], now_s=lambda: now_s[0])
-    notices = []
-    for tick in range(1000):
-        assert transport.receive(tick * TICK_US) == []
-        transport.send([MavlinkFrame(link=-1, data=b"anything")])
-        notices += transport.take_notices(tick * TICK_US)
-    assert [notice.text for notice in notices] == ["broken: no such device"]
-    assert transport.errors == 2000
-    transport.close()
 
 
 class Fickle(Broken):

@@ -159,8 +159,8 @@ class Memory(NamedTuple):
 class LossBank:
     """Evidence for a change of each thruster. Deterministic."""
 
-    def __init__(self, model: Model4, beliefs: Beliefs | None = None) -> None:
-        self._beliefs = beliefs or Beliefs()
+    def __init__(self, model: Model4) -> None:
+        self._beliefs = Beliefs()
         self._mass = np.array(model.mass_kg)
         self._effect = np.array(model.allocation) / self._mass[:, None]
         self._sway = np.array(model.allocation)[1]

@@ -18,6 +18,7 @@ from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.log.analysis import STATE_FIELDS
 from autopilot.sitl.contact import Cylinder
 from autopilot.sitl.current_fields import Bickley, Current, CurrentField, Gyre, TankJet, Uniform, Vortex, current_field
 from autopilot.sitl.plant import Plant, Truth
@@ -194,13 +195,8 @@ def nav_state(truth: Truth) -> NavState:
     return NavState(
         t_us=truth.t_us,
         health=NavHealth.GOOD,
-        pos_ned_m=truth.pos_ned_m,
-        rpy_rad=truth.rpy_rad,
-        vel_frd_m_s=truth.vel_frd_m_s,
-        vel_water_frd_m_s=truth.vel_water_frd_m_s,
-        rate_frd_rad_s=truth.rate_frd_rad_s,
-        current_ned_m_s=truth.current_ned_m_s,
         variance=np.zeros(12),
+        **{name: getattr(truth, name) for name in STATE_FIELDS},
     )
 
 

@@ -28,6 +28,7 @@ from autopilot.core.messages import Goal, NavState
 from autopilot.core.vehicle import load_vehicle
 from tests.bench.energy.cases import CASES, A, B, EnergyGoal
 from tests.bench.energy.flight import known_current, nav_state, plant_of
+from tests.control.control_loop import goal as goal_at
 
 RUNS, SHORT_RUNS = 8, 3
 """Requests per kind and water."""
@@ -179,11 +180,4 @@ def _tour(places: list[FloatArray]) -> list[tuple[FloatArray, Goal]]:
 
 
 def _goal(goal: EnergyGoal) -> Goal:
-    return Goal(
-        pos_ned_m=np.array(goal.pos_ned_m),
-        yaw_rad=goal.yaw_rad,
-        speed_m_s=0.35,
-        accept_radius_m=0.3,
-        accept_yaw_rad=0.15,
-        seq=0,
-    )
+    return goal_at(*goal.pos_ned_m, goal.yaw_rad)

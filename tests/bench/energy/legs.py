@@ -22,6 +22,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Goal
 from autopilot.core.vehicle import load_vehicle
+from tests.control.control_loop import goal as goal_at
 
 LEGS, SHORT_LEGS = 300, 20
 SEED = 11
@@ -140,14 +141,8 @@ def _basin(rng: np.random.Generator, half: FloatArray, long_m: float) -> tuple[F
 
 
 def _goal(rng: np.random.Generator, place: FloatArray) -> Goal:
-    return Goal(
-        pos_ned_m=place,
-        yaw_rad=float(rng.uniform(-math.pi, math.pi)) if rng.uniform() < 0.3 else None,
-        speed_m_s=0.35,
-        accept_radius_m=0.3,
-        accept_yaw_rad=0.15,
-        seq=0,
-    )
+    north, east, down = place.tolist()
+    return goal_at(north, east, down, float(rng.uniform(-math.pi, math.pi)) if rng.uniform() < 0.3 else None)
 
 
 def _row(kind: Kind, plans: list[TimedPlan]) -> LegsRow:
