@@ -128,8 +128,7 @@ def test_a_slow_disk_does_not_hold_the_loop_and_nothing_of_the_first_moments_is_
 
 def test_a_queue_that_is_full_drops_counts_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     progress = Progress()
-    few = {"queue_messages": 50, "queue_bytes": 10**6}
-    monkeypatch.setattr(writer.LogWriter.beside.__func__, "__kwdefaults__", few)  # type: ignore[attr-defined]
+    monkeypatch.setattr(writer, "QUEUE_MESSAGES", 50)
     make = writer._open_locked
 
     def slow_make(path: Path) -> Any:
