@@ -64,7 +64,7 @@ from autopilot.estimator.recalibration import Recalibration
 from autopilot.estimator.refined import refined_map
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.startup import StartUp
-from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, DEPTH_OFFSET, YAW, initial_state, one
+from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, CURRENT, DEPTH_OFFSET, YAW, initial_state, one
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
 from autopilot.estimator.tilted_camera import TiltedCamera
@@ -322,7 +322,7 @@ class AidedEstimator(Estimator):
         node = history.append(inertial.t_us, moment, step)
         self._foreseen_yaw_rad = node.state.x.item(YAW)
         if model.let_go(moment, informs=model_informs):
-            self._fusion.forget(node, model, model.taught)
+            self._fusion.forget(node, model, CURRENT)
         if not inertial.real:
             return
         model_dt_s = model.due_s(step.dt_s)

@@ -74,10 +74,9 @@ class Fusion:
         self.resets += part.start == POS.start  # the position moves with the next measurement
         aid.reset(self.now_us)
 
-    def forget(self, node: Node, aid: Aid, parts: Iterable[slice]) -> None:
+    def forget(self, node: Node, aid: Aid, part: slice) -> None:
         """Know these states at ``node`` as little as at the start."""
-        for part in parts:
-            self.history.forget(node, Reopening(aid.sensor, node.t_us, part, _initial_variance(part)))
+        self.history.forget(node, Reopening(aid.sensor, node.t_us, part, _initial_variance(part)))
 
     def move(self, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray, forgotten: Iterable[slice]) -> None:
         """Move the newest node to a pose (4,) with covariance (4, 4) and a velocity (3,), forget its states

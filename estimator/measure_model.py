@@ -36,7 +36,6 @@ from autopilot.estimator.states import (
     BIAS_AHEAD,
     BIAS_DOWN,
     BIAS_RIGHT,
-    CURRENT,
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
@@ -285,8 +284,6 @@ class ModelAid(InertialAid):
     """The vehicle model: samples of the accelerometer are held against it."""
 
     sensor = "model"
-    taught = (CURRENT,)
-    """States that are known by it."""
     every_s = MODEL_EVERY_S
 
     def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
@@ -302,7 +299,7 @@ class ModelAid(InertialAid):
 
     def let_go(self, moment: Moment, *, informs: bool) -> bool:
         """Whether thrusters begin to drive a vehicle that moved without them: by the water, or by a hand or a rope,
-        which the model took for water and drag."""
+        which the model took for water."""
         if max(map(abs, moment.thrust_n)) > 1e-3 * IDLE_THRUST_N:
             carried, self._carried = self._carried, False
             return carried

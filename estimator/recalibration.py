@@ -75,12 +75,12 @@ class Recalibration:
         more, self._print = error - self._print, error
         self._sources.pictures.set_print(error)
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
-        self._carry(np.array([0.0, 0.0, 0.0, 0.0]), np.zeros(3), abs(more) * height_m)
+        self._carry(np.zeros(4), np.zeros(3), abs(more) * height_m)
         self.counts["print.rescaled"] += 1
 
     def _carry(self, along: FloatArray, velocity: FloatArray, aside_m: float = 0.0) -> None:
-        """Move the estimate by ``along`` (4,) [m, rad] and set its ``velocity`` (3,), and reset everything derived
-        from it: inertial biases, findings, history. It is unsure by ``aside_m`` besides.
+        """Move the estimate by ``along`` (4,) [m, rad], change its velocity by ``velocity`` (3,), and reset everything
+        derived from it: inertial biases, findings, history. It is unsure by ``aside_m`` besides.
         """
         x = self._fusion.history.newest.state.x
         aside = np.array([aside_m, aside_m, aside_m, 0.0])

@@ -94,15 +94,20 @@ def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
         assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 10.0
 
 
+def sparse(floor: MarkerMap, every: int, sigma: tuple[float, float] | None) -> MarkerMap:
+    """Every so many of the floor's markers, exact or of sheets that are laid so well."""
+    some = np.arange(len(floor.ids)) % every == 0
+    few = dataclasses.replace(floor, ids=floor.ids[some], corners_ned_m=floor.corners_ned_m[some])
+    return few if sigma is None else sheets_of(few, sigma)
+
+
 @pytest.mark.parametrize("scale", [0.93, 1.08])
 @pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
 def test_squares_of_another_size_are_named_and_corrected(
     make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, scale: float
 ) -> None:
     """One marker shows a height by its size, several by how far they are apart: without a correction fixes jump."""
-    some = np.arange(len(floor.ids)) % 6 == 0
-    sparse = dataclasses.replace(floor, ids=floor.ids[some], corners_ned_m=floor.corners_ned_m[some])
-    told = sparse if sigma is None else sheets_of(sparse, sigma)
+    told = sparse(floor, 6, sigma)
     middles = told.centers_ned_m[:, None]
     true = dataclasses.replace(told, corners_ned_m=middles + scale * (told.corners_ned_m - middles), errors=None)
     estimator = make_ekf(markers=told)
@@ -119,10 +124,8 @@ def test_a_moved_marker_among_few_is_named_and_costs_nothing(
     make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, depth_m: float
 ) -> None:
     """Three to eight are in view of a vehicle that holds still: one that is off drags the pose, or prevents a start."""
-    some = np.arange(len(floor.ids)) % 2 == 0
-    sparse = dataclasses.replace(floor, ids=floor.ids[some], corners_ned_m=floor.corners_ned_m[some])
-    told = sparse if sigma is None else sheets_of(sparse, sigma)
-    near = np.hypot(floor.centers_ned_m[some, 0] + 1.6, floor.centers_ned_m[some, 1] + 0.35).argsort()
+    told = sparse(floor, 2, sigma)
+    near = np.hypot(told.centers_ned_m[:, 0] + 1.6, told.centers_ned_m[:, 1] + 0.35).argsort()
     for moved in near[:2].tolist():
         corners = told.corners_ned_m.copy()
         corners[moved, :, :2] += (0.024, 0.018)
