@@ -9,6 +9,12 @@ vehicle's path, the surge and sway equations are (Fossen 2011, ch. 6 and 8, neut
 Thrust, drag and added mass are turned by the AHRS's roll and pitch: a BlueROV2 ahead with 10 N is 20 degrees nose up or
 down. If the vertical current is a state (``EstimatorOptions.current_3d``) the heave equation is added; its buoyancy is
 taken as known.
+
+Straight on, drag and current are not told apart, and the filter must not believe that they are. Its Jacobian is taken
+about the mean velocity through the water (:class:`MeanFlow`), not about the estimate: that goes to and fro with the
+current's own uncertainty, the direction in which nothing is known would turn with it, and as each step of the estimate
+is paid back by the next innovations, drag would slide down by a tenth a minute, with a variance that denies it
+(inconsistency of the EKF: Huang, Mourikis and Roumeliotis 2010).
 """
 
 import ctypes
@@ -26,7 +32,7 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 from autopilot.core.to_and_fro import ToAndFro
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import InertialAid
-from autopilot.estimator.estimator_tuning import SWELL
+from autopilot.estimator.estimator_tuning import MEAN_FLOW, SWELL
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Measurement, Moment
@@ -36,6 +42,7 @@ from autopilot.estimator.states import (
     BIAS_AHEAD,
     BIAS_DOWN,
     BIAS_RIGHT,
+    CURRENT,
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
@@ -63,11 +70,41 @@ LEAST_EXCESS, MOST_EXCESS = -0.8, 4.0
 """Of drag and thrust, as the model uses them: drag below -1 would drive the vehicle, and a blind step run away."""
 
 
+class MeanFlow:
+    """Velocity over ground and of the water in the mean, at one look: the former soon, as it is measured; the latter
+    slowly, once it is known. What is computed again when a late fix comes is computed again in order, so the mean of
+    the look before is the one of that."""
+
+    def __init__(self, before: "MeanFlow | None", node: Node) -> None:
+        variance = node.state.p if node.state.p.ndim == 1 else node.state.p.diagonal()
+        self.t_us: int = node.t_us
+        self._known_s = dt_s = 0.0
+        self._before = node.state.x[_FLOW]
+        if before is not None:
+            dt_s, self._before = min((node.t_us - before.t_us) * 1e-6, MEAN_FLOW.longest_s), before.mean
+            if float(variance[CURRENT].max()) < MEAN_FLOW.known_m_s**2:
+                self._known_s = before._known_s + dt_s
+        of_vel, of_current = dt_s / MEAN_FLOW.vel_s, dt_s / max(dt_s, min(self._known_s, MEAN_FLOW.current_s), 1e-9)
+        self._share = np.array((of_vel, of_vel, of_current, of_current))
+        self.mean: FloatArray = np.zeros(4)
+        """(4,) velocity over ground, of the water; north, east. Changed in place."""
+
+    def through_water_m_s(self, x: FloatArray) -> FloatArray:
+        """(2,) mean velocity through the water, north and east, with the estimate ``x`` (21,) of this look."""
+        self.mean[:] = self._before + self._share * (x[_FLOW] - self._before)
+        return self.mean[:2] - self.mean[2:]
+
+
+_FLOW = np.array((VEL_NORTH, VEL_EAST, CURRENT_NORTH, CURRENT_EAST))
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModelAcceleration(Measurement):
     """z = (2,) or (3,) acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2]."""
 
     vehicle: "VehicleAcceleration"
+    flow: MeanFlow | None = None
+    """About which it is linear; None: about the estimate."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Acceleration of the model plus the bias of the AHRS."""
@@ -77,6 +114,10 @@ class ModelAcceleration(Measurement):
         return np.array((ahead + x.item(BIAS_AHEAD), right + x.item(BIAS_RIGHT), down + x.item(BIAS_DOWN)))
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        if self.flow is not None:
+            through_m_s = self.flow.through_water_m_s(x)
+            x = x.copy()
+            x[CURRENT] = x[VEL_NORTH : VEL_EAST + 1] - through_m_s
         return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
 
 
@@ -231,13 +272,19 @@ _PLANAR_NOISE: FloatArray = _NOISE[:2, :2]
 
 
 def model_aid_of(
-    inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False, noise_factor: float = 1.0
+    inertial: Inertial,
+    vehicle: VehicleAcceleration,
+    flow: MeanFlow | None = None,
+    *,
+    vertical: bool = False,
+    noise_factor: float = 1.0,
 ) -> ModelAcceleration:
     """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
     accel, noise = (inertial.accel_level_m_s2, _NOISE) if vertical else (inertial.accel_level_m_s2[:2], _PLANAR_NOISE)
     if noise_factor != 1.0:
         noise = noise_factor * noise
-    return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
+    z = np.array(accel)
+    return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=z, noise=noise, vehicle=vehicle, flow=flow)
 
 
 def planar_mass_ratios(vehicle: Vehicle) -> tuple[float, float]:
@@ -291,6 +338,7 @@ class ModelAid(InertialAid):
         self.vehicle = VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle))
         self._options = options
         self._swell = Swell(VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle)))
+        self._flow: MeanFlow | None = None
         self._carried = False
 
     def is_informative(self, moment: Moment, x: FloatArray) -> bool:
@@ -308,8 +356,10 @@ class ModelAid(InertialAid):
 
     def measured(self, sample: Inertial) -> ModelAcceleration:
         factor = 1.0 + self._swell.variance / SIGMA_M_S2**2
-        return model_aid_of(sample, self.vehicle, vertical=self._options.current_3d, noise_factor=factor)
+        vertical = self._options.current_3d
+        return model_aid_of(sample, self.vehicle, self._flow, vertical=vertical, noise_factor=factor)
 
     def feel(self, node: Node, raw: Inertial) -> None:
-        """Look for swell in a sample that belongs to ``node``."""
+        """Look for swell, and for the mean flow, in a sample that belongs to ``node``."""
         self._swell.meet(node, raw.accel_level_m_s2)
+        self._flow = MeanFlow(self._flow, node)
