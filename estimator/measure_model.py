@@ -13,8 +13,9 @@ taken as known.
 Straight on, drag and current are not told apart, and the filter must not believe that they are. Its Jacobian is taken
 about the mean velocity through the water (:class:`MeanFlow`), not about the estimate: that goes to and fro with the
 current's own uncertainty, the direction in which nothing is known would turn with it, and as each step of the estimate
-is paid back by the next innovations, drag would slide down by a tenth a minute, with a variance that denies it
-(inconsistency of the EKF: Huang, Mourikis and Roumeliotis 2010).
+is paid back by the next innovations, drag would slide down by 0.05 a minute, with a variance that denies it
+(inconsistency of the EKF: Huang, Mourikis and Roumeliotis 2010). What is further off the mean than noise is a
+manoeuvre, by which drag, thrust and current are told apart.
 """
 
 import ctypes
@@ -71,31 +72,31 @@ LEAST_EXCESS, MOST_EXCESS = -0.8, 4.0
 
 
 class MeanFlow:
-    """Velocity over ground and of the water in the mean, at one look: the former soon, as it is measured; the latter
-    slowly, once it is known. What is computed again when a late fix comes is computed again in order, so the mean of
-    the look before is the one of that."""
+    """Velocity through the water in the mean, at one look. What is computed again when a late fix comes is computed
+    again in order, so the mean of the look before is the one of that."""
 
     def __init__(self, before: "MeanFlow | None", node: Node) -> None:
-        variance = node.state.p if node.state.p.ndim == 1 else node.state.p.diagonal()
         self.t_us: int = node.t_us
-        self._known_s = dt_s = 0.0
-        self._before = node.state.x[_FLOW]
-        if before is not None:
-            dt_s, self._before = min((node.t_us - before.t_us) * 1e-6, MEAN_FLOW.longest_s), before.mean
-            if float(variance[CURRENT].max()) < MEAN_FLOW.known_m_s**2:
-                self._known_s = before._known_s + dt_s
-        of_vel, of_current = dt_s / MEAN_FLOW.vel_s, dt_s / max(dt_s, min(self._known_s, MEAN_FLOW.current_s), 1e-9)
-        self._share = np.array((of_vel, of_vel, of_current, of_current))
-        self.mean: FloatArray = np.zeros(4)
-        """(4,) velocity over ground, of the water; north, east. Changed in place."""
+        dt_s = 0.0 if before is None else min((node.t_us - before.t_us) * 1e-6, MEAN_FLOW.longest_s)
+        self._share = dt_s / MEAN_FLOW.mean_s
+        self._before = _through_water(node.state.x) if before is None else before.mean_ned_m_s
+        self.mean_ned_m_s: FloatArray = np.zeros(2)
+        """(2,) changed in place."""
 
-    def through_water_m_s(self, x: FloatArray) -> FloatArray:
-        """(2,) mean velocity through the water, north and east, with the estimate ``x`` (21,) of this look."""
-        self.mean[:] = self._before + self._share * (x[_FLOW] - self._before)
-        return self.mean[:2] - self.mean[2:]
+    def about_ned_m_s(self, x: FloatArray) -> FloatArray:
+        """(2,) velocity through the water about which the model is linear, with the estimate ``x`` (21,) of this look:
+        the mean, or the estimate where that is further off than noise."""
+        now = _through_water(x)
+        self.mean_ned_m_s[:] = self._before + self._share * (now - self._before)
+        off = now - self.mean_ned_m_s
+        square = float(off @ off)
+        return self.mean_ned_m_s + square / (square + MEAN_FLOW.noise_m_s**2) * off
 
 
-_FLOW = np.array((VEL_NORTH, VEL_EAST, CURRENT_NORTH, CURRENT_EAST))
+def _through_water(x: FloatArray) -> FloatArray:
+    """(2,) north and east."""
+    result: FloatArray = x[VEL_NORTH : VEL_EAST + 1] - x[CURRENT]
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -115,9 +116,9 @@ class ModelAcceleration(Measurement):
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         if self.flow is not None:
-            through_m_s = self.flow.through_water_m_s(x)
+            about_m_s = self.flow.about_ned_m_s(x)
             x = x.copy()
-            x[CURRENT] = x[VEL_NORTH : VEL_EAST + 1] - through_m_s
+            x[CURRENT] = x[VEL_NORTH : VEL_EAST + 1] - about_m_s
         return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
 
 

@@ -24,15 +24,10 @@ Waves push to and fro and the controller pushes back: thrust goes with the distu
 way, and a weak thruster explains a part of it. Waves beyond ``Beliefs.waves_m_s2`` are therefore noise of surge and
 sway. What is left grows slowly; in waves every update loses some evidence (``Beliefs.waves_cost``), and a thruster
 that is lost outgrows it.
-
-Thrust answers the noise of the estimate that the motion is taken from, so their fast parts go together whatever the
-thrusters do; in minutes of steady flight that alone would show a sound thruster at half its thrust. What is learned
-goes by the mean of thrust, drag and Coriolis terms over ``Beliefs.mean_s`` (an instrumental variable: Young 2011,
-ch. 6); what is expected, and so the evidence, by the terms as they are.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -135,9 +130,6 @@ class Beliefs:
     """Unmodelled disturbance of each axis [m/s^2, rad/s^2]."""
     push_s: float = 1.5
     """Correlation time."""
-    mean_s: float = 0.5
-    """Time constant of the terms that the estimates go by: longer than thrust takes to answer noise. With 1 s a dead
-    thruster is learned away in part."""
     gate: float = 20.0
     """Squared Mahalanobis distance (4 axes) from all filters above which an update is a collision."""
     begin_s: float = 2.0
@@ -176,8 +168,6 @@ class LossBank:
         self._still = self._stationary()
         self._work = np.empty((self._at.filters, self._at.size, self._at.size))
         """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
-        self._mean: FloatArray | None = None
-        """(2n + 7,) see :meth:`_averaged`."""
         self._evidence: FloatArray = np.zeros(len(self._at.hypotheses))
         self._age_s: FloatArray = np.zeros(len(self._at.hypotheses))
         self.reset()
@@ -286,7 +276,7 @@ class LossBank:
 
     def forget_motion(self, *, hit: bool = False) -> None:
         """Reset the fast states; after a collision (``hit``) also the current, whose estimate contains it."""
-        at, self._mean = self._at, None
+        at = self._at
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[:, at.motion] = 0.0
         self._p[:, at.motion, :] = 0.0
@@ -305,14 +295,14 @@ class LossBank:
         b, at = self._beliefs, self._at
         self._predict(motion)
         pull = self._pull(motion)
-        h = self._derivatives(self._averaged(motion), pull)
+        h = self._derivatives(motion, pull)
         thrust = np.square(self._effect) @ np.square(motion.thrust_n)
         known = np.square(b.noise) + b.noise_fraction**2 * thrust + np.square(motion.swing)
         known[:2] += 2.0 * max(0.0, motion.waves_m_s2**2 - b.waves_m_s2**2)  # the square of their amplitude
         noise = known * (b.independent_s / motion.dt_s)
         if not heave:
             noise[2] = LOSS_BANK.unseen
-        innovation = motion.residual - self._expected(motion, pull)
+        innovation = motion.residual - self._expected(motion, h, pull)
         cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
@@ -419,23 +409,10 @@ class LossBank:
         p[:, index, index] += grow
         self._x, self._p = x, p
 
-    def _averaged(self, motion: FilteredMotion) -> FilteredMotion:
-        """The motion with the mean of what the slow states multiply."""
-        n, terms = self._n, np.concatenate((motion.thrust_n, motion.thrust_rate_n_s, motion.drag, motion.coriolis))
-        share = min(1.0, motion.dt_s / self._beliefs.mean_s)
-        self._mean = mean = terms if self._mean is None else self._mean + share * (terms - self._mean)
-        return replace(
-            motion,
-            thrust_n=mean[:n],
-            thrust_rate_n_s=mean[n : 2 * n],
-            drag=mean[2 * n : 2 * n + 4],
-            coriolis=mean[2 * n + 4 :],
-        )
-
-    def _expected(self, motion: FilteredMotion, pull: FloatArray) -> FloatArray:
-        """(n, 4) residual that each filter expects."""
+    def _expected(self, motion: FilteredMotion, h: FloatArray, pull: FloatArray) -> FloatArray:
+        """(n, 4) residual that each filter expects, with its derivatives (n, 4, states)."""
         x, at = self._x, self._at
-        ideal, rate = ((x[:, at.e] * each) @ self._effect.T for each in (motion.thrust_n, motion.thrust_rate_n_s))
+        ideal, rate = h[:, :, at.common], -h[:, :, at.lag]
         result: FloatArray = (
             self._gain() * ideal - x[:, at.lag, None] * rate + x[:, at.drag] * motion.drag + x[:, at.push]
         )
