@@ -77,7 +77,7 @@ CURRENT_MEMORY = CurrentMemoryTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentTrustTuning:
-    """Constants of :mod:`autopilot.control.current.current_trust`."""
+    """Constants of :mod:`autopilot.control.current.current_learning`."""
 
     step_fraction: float = 0.2
     """Looks are so far apart, in lengths of the flow ..."""
