@@ -9,6 +9,15 @@ from autopilot.campaign.results import RunResult
 from autopilot.core.disk import in_place_of
 
 Cell = float | int | bool | str | None
+FIRST_COLUMNS = (
+    *("run", "seed", "failed", "error", "simulated_s", "cpu_s", "laps", "laps_asked", "completed", "contacts"),
+    "penetration_m",
+)
+FURTHER_COLUMNS = (
+    *("pos_rms_m", "pos_max_m", "yaw_rms_rad", "current_rms_m_s", "inside_share", "nees", "steps", "fallbacks"),
+    "slack_max",
+)
+"""Attributes of a result that are columns as they are, before those of its laps and behind them."""
 
 
 def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
@@ -17,28 +26,10 @@ def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
     for result in results:
         laps = len(result.energy_j)
         row: dict[str, Cell] = {
-            "run": result.run,
-            "seed": result.seed,
-            "failed": result.failed,
-            "error": result.error,
-            "simulated_s": result.simulated_s,
-            "cpu_s": result.cpu_s,
-            "laps": result.laps,
-            "laps_asked": result.laps_asked,
-            "completed": result.completed,
-            "contacts": result.contacts,
-            "penetration_m": result.penetration_m,
+            **{name: getattr(result, name) for name in FIRST_COLUMNS},
             "lap_energy_j": sum(result.energy_j) / laps if laps else None,
             "lap_s": sum(result.lap_s) / laps if laps else None,
-            "pos_rms_m": result.pos_rms_m,
-            "pos_max_m": result.pos_max_m,
-            "yaw_rms_rad": result.yaw_rms_rad,
-            "current_rms_m_s": result.current_rms_m_s,
-            "inside_share": result.inside_share,
-            "nees": result.nees,
-            "steps": result.steps,
-            "fallbacks": result.fallbacks,
-            "slack_max": result.slack_max,
+            **{name: getattr(result, name) for name in FURTHER_COLUMNS},
             "failsafes": " ".join(result.failsafes),
             "broken": " ".join(name.replace(" ", "_") for name in result.broken),
         }

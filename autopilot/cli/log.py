@@ -9,9 +9,7 @@ import click
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.log_compare import compare
 from autopilot.cli.log_replay import replay
-from autopilot.cli.log_tlog import tlog
-from autopilot.cli.log_tools import diff, export, find, recover
-from autopilot.cli.log_view import view
+from autopilot.cli.log_tools import diff, export, find, recover, tlog, view
 from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER, not_over
 
 if TYPE_CHECKING:

@@ -278,19 +278,12 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
 def _survey_json(result: "Survey") -> dict[str, Any]:
     from dataclasses import asdict
 
+    same = (
+        *("views", "left_out_views", "unseen", "sights", "disbelieved", "sigma_px", "shrink_px", "converged"),
+        *("repeated", "misread", "scaled", "scale"),
+    )
     return {
         "markers": [asdict(row) for row in result.rows],
-        "views": result.views,
-        "left_out_views": result.left_out_views,
-        "unseen": result.unseen,
         "dropped": [asdict(marker) for marker in result.dropped],
-        "sights": result.sights,
-        "disbelieved": result.disbelieved,
-        "sigma_px": result.sigma_px,
-        "shrink_px": result.shrink_px,
-        "converged": result.converged,
-        "repeated": result.repeated,
-        "misread": result.misread,
-        "scaled": result.scaled,
-        "scale": result.scale,
+        **{name: getattr(result, name) for name in same},
     }

@@ -19,8 +19,7 @@ import psutil
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.emulate import emulate
-from autopilot.cli.physics import physics
+from autopilot.cli.emulate import emulate, physics
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
