@@ -26,7 +26,6 @@ from autopilot.mavlink.api import (
     VehicleCommands,
     VehicleView,
 )
-from autopilot.mavlink.arming_events import ArmingEvents
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera_api import CameraOrders
@@ -36,7 +35,7 @@ from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Co
 from autopilot.mavlink.dialect import extra, mav, message_ids
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
-from autopilot.mavlink.events import Events
+from autopilot.mavlink.events import ArmingEvents, Events
 from autopilot.mavlink.external_poses import ExternalPoses
 from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
