@@ -1,7 +1,7 @@
-"""Optional simulated sensors of a scenario: their common inputs and construction."""
+"""Simulated sensors that a scenario may have, and their construction."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
@@ -10,20 +10,43 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.geodesy import Origin, place_from_ned
-from autopilot.core.samples import AltimeterSample, DepthSample, GpsSample, Sample, VelocityLock, VelocitySample
+from autopilot.core.samples import (
+    AltimeterSample,
+    DepthSample,
+    GpsSample,
+    HullSample,
+    LeakSample,
+    ObstacleTrack,
+    Sample,
+    VelocityLock,
+    VelocitySample,
+)
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import AltimeterMount, DepthMount, DvlMount, GpsMount, Vehicle
-from autopilot.sitl.delayed import LossySensor
-from autopilot.sitl.fault_tables import SensorFrozen
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.delayed import DelayedSensor, LossySensor, OutageClock
+from autopilot.sitl.fault_tables import HullClimate, Leak, SensorFrozen
+from autopilot.sitl.moving import MotionSample, MovingPath
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario_tables import Fault
-from autopilot.sitl.sensor_tables import AltimeterSensor, DepthSensor, DvlSensor, GpsSensor, Sensors
+from autopilot.sitl.scenario_tables import CylinderObstacle, Fault, MovingObstacle, Obstacle
+from autopilot.sitl.sensor_tables import (
+    AltimeterSensor,
+    DepthSensor,
+    DvlSensor,
+    GpsSensor,
+    HullSensor,
+    ObstacleSensor,
+    Outages,
+    Sensors,
+)
+from autopilot.sitl.simulated_waters import moving_path
 from autopilot.sitl.waves import WaveTrain
 
 S = TypeVar("S", bound=Sample)
 V = TypeVar("V")
 GRAZING_RAD = math.radians(15.0)
 """So far beyond the edge of its beam a smooth floor throws nothing back."""
+PERIOD_US = 500_000
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -229,3 +252,98 @@ class SimGps(OptionalSensor[GpsSample, tuple[float, float]]):
                 t_us=truth.t_us, lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m, sigma_m=sigma_m
             )
             self._send(truth.t_us, float(noise[4]), sample)
+
+
+class SimHullSensor(AlwaysOpen):
+    """Leak probe, barometer, thermometer: constant conditions inside the hull, independent of the truth."""
+
+    def __init__(self, sensor: HullSensor, faults: Iterable[Fault]) -> None:
+        self._sensor = sensor
+        faults = list(faults)
+        self._leaks = [fault for fault in faults if isinstance(fault, Leak)]
+        self._climate = [fault for fault in faults if isinstance(fault, HullClimate)]
+        self._gaps = OutageClock(Outages(), faults, np.random.default_rng(0), sensor="hull")
+        self._samples: list[LeakSample | HullSample] = []
+        self.next_us = 0
+        """When it samples next."""
+
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        if isinstance(fault, Leak):
+            self._leaks.append(fault)
+        elif isinstance(fault, HullClimate):
+            self._climate.append(fault)
+        else:
+            return self._gaps.add(fault)
+        return True
+
+    def observe(self, truth: Truth) -> None:
+        t_us = truth.t_us
+        self.next_us += PERIOD_US
+        if self._gaps.silent(t_us):
+            return
+        pressure_pa, temperature_c = self._sensor.pressure_pa, self._sensor.temperature_c
+        for fault in self._climate:
+            if fault.holds(t_us):
+                pressure_pa = pressure_pa if fault.pressure_pa is None else fault.pressure_pa
+                temperature_c = temperature_c if fault.temperature_c is None else fault.temperature_c
+        self._samples += [
+            LeakSample(t_us=t_us, wet=any(leak.holds(t_us) for leak in self._leaks)),
+            HullSample(t_us=t_us, pressure_pa=pressure_pa, temperature_c=temperature_c),
+        ]
+
+    def poll(self, t_us: int) -> list[LeakSample | HullSample]:
+        samples, self._samples = self._samples, []
+        return samples
+
+
+class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
+    """An obstacle sensor (e.g. an imaging sonar with tracker): tracks of moving and of unmapped obstacles.
+
+    Obstacles in the fence are not reported. Every report is a track with its own time, with noise on position and
+    velocity, and arrives after the latency."""
+
+    def __init__(self, sensor: ObstacleSensor, obstacles: Sequence[Obstacle], seed: int) -> None:
+        super().__init__(sensor.rate_hz, sensor.latency_s)
+        self._sensor = sensor
+        self._rng = np.random.default_rng((seed, 30))
+        self._seen: list[tuple[int, MovingPath | MotionSample, float]] = []
+        for number, obstacle in enumerate(obstacles, start=1):
+            if isinstance(obstacle, MovingObstacle):
+                self._seen.append((number, moving_path(obstacle), obstacle.radius_m))
+            elif isinstance(obstacle, CylinderObstacle) and obstacle.surprise:
+                self._seen.append((number, MotionSample(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
+
+    @property
+    def blind(self) -> bool:
+        """There is nothing in this world that it would ever report."""
+        return not self._seen
+
+    def put(self, number: int, north_m: float, east_m: float, radius_m: float) -> None:
+        """Move an obstacle away from its mapped position: from now on it is reported."""
+        self._seen = [seen for seen in self._seen if seen[0] != number]
+        self._seen.append((number, MotionSample((north_m, east_m), (0.0, 0.0)), radius_m))
+
+    def begin(self, t_us: int) -> None:
+        """Look from then on: so far there was nothing to be seen."""
+        self._count = math.ceil(1e-6 * t_us * self._rate_hz) - 1
+        self._taken()
+
+    def observe(self, truth: Truth) -> None:
+        self._taken()
+        for number, path, radius_m in self._seen:
+            motion = path.at(truth.t_us * 1e-6) if isinstance(path, MovingPath) else path
+            noise = self._rng.standard_normal(4)
+            center, velocity = np.array(motion.center_ned_m), np.array(motion.velocity_ned_m_s)
+            if np.hypot(*(truth.pos_ned_m[:2] - center)) - radius_m > self._sensor.range_m:
+                continue
+            if velocity.any():
+                velocity = velocity + self._sensor.sigma_velocity_m_s * noise[2:]
+            report = ObstacleTrack(
+                t_us=truth.t_us,
+                track_id=number,
+                pos_ned_m=center + self._sensor.sigma_m * noise[:2],
+                vel_ned_m_s=velocity,
+                radius_m=radius_m,
+            )
+            self._send(truth.t_us, 0.0, report)

@@ -39,7 +39,7 @@ def emulate(link: tuple[str, ...], pose: tuple[str, ...], camera: "CameraPlace |
     stop = StopSignals()
     from msgspec import structs
 
-    from autopilot.run.sitl_emulated import emulate as run
+    from autopilot.run.sitl_physics import emulate as run
 
     if not pose and camera is None:
         pose = (TRACKED,)

@@ -28,7 +28,7 @@ from autopilot.drivers.drivers_tuning import FRAMES
 from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.retry import SteadySensor
 from autopilot.run.children import autopilot_command, free_port
-from autopilot.run.sitl_emulated import EmulatedFlight
+from autopilot.run.sitl_physics import EmulatedFlight
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_feed import simulated_camera
 from autopilot.sitl.camera_process import CameraProcess, _moved
@@ -227,7 +227,7 @@ def test_a_tracking_system_where_there_is_no_camera_or_as_asked(
         seen.append(pose)
         return EmulatedFlight()
 
-    monkeypatch.setattr("autopilot.run.sitl_emulated.emulate", emulated)
+    monkeypatch.setattr("autopilot.run.sitl_physics.emulate", emulated)
     done = CliRunner().invoke(emulate, arguments)
     assert done.exit_code == 0, done.output
     assert seen == [pose]
