@@ -11,8 +11,7 @@ from functools import partial
 from autopilot.core.frames import quat_from_rpy, r_ned_from_frd, rpy_from_r
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
-from autopilot.mavlink.api import ACCEPTED, CommandResult
-from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.api import ACCEPTED, CameraOrders, CommandResult
 from autopilot.mavlink.commands import (
     REPEAT_US,
     UNSUPPORTED,

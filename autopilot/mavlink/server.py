@@ -19,21 +19,21 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import MissionResult, PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.mavlink.api import (
+    CameraOrders,
     CommandReply,
     CommandResult,
+    EquipmentOrders,
     FlightMode,
     SigningStore,
     VehicleCommands,
     VehicleView,
 )
-from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.bounded_table import LatestUsed, RecentKeys
 from autopilot.mavlink.budget import Budget
-from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
 from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, setting
 from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Context, MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav, message_ids
-from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
 from autopilot.mavlink.events import ArmingEvents, Events
 from autopilot.mavlink.external_poses import ExternalPoses
@@ -53,7 +53,6 @@ from autopilot.mavlink.periodic_messages import PeriodicMessages
 from autopilot.mavlink.pilot import PilotInputs
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.progress import ProgressMessages
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.requests import Requests
 from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
