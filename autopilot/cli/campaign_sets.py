@@ -228,7 +228,7 @@ def _all(
     """Fly the missing flights; all finished flights that were requested."""
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.worlds.world_flight import WorldTask
-    from autopilot.campaign.worlds.world_store import WorldStore, read_flights
+    from autopilot.campaign.worlds.world_results import WorldStore, read_flights
     from autopilot.cli.campaign import stoppable
     from autopilot.sitl.spread import run_seed
 

@@ -99,7 +99,7 @@ SENSOR_ROWS = (
         table="altimeter",
         simulated="autopilot.sitl.optional_sensors:SimAltimeter",
         aids=("altimeter",),
-        aid="autopilot.estimator.measure_altimeter:AltimeterAid",
+        aid="autopilot.estimator.measure_range:AltimeterAid",
         replaces=True,
     ),
     SensorRow(
