@@ -24,9 +24,9 @@ from autopilot.core.samples import (
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import AltimeterMount, DepthMount, DvlMount, GpsMount, Vehicle
 from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.contact import MotionSample, MovingPath
 from autopilot.sitl.delayed import DelayedSensor, LossySensor, OutageClock
 from autopilot.sitl.fault_tables import HullClimate, Leak, SensorFrozen
-from autopilot.sitl.moving import MotionSample, MovingPath
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CylinderObstacle, Fault, MovingObstacle, Obstacle
 from autopilot.sitl.sensor_tables import (

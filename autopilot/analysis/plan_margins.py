@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.control.path.path_tuning import GUIDANCE

@@ -230,7 +230,7 @@ def keep(
     its worst runs. LogError if they cannot be written.
     """
     from autopilot.campaign.run_store import GO_ON
-    from autopilot.campaign.tabular import write_tables
+    from autopilot.campaign.run_table import write_tables
     from autopilot.campaign.worst import logs_of
     from autopilot.core.errors import LogError
 
