@@ -31,9 +31,8 @@ from autopilot.run.children import autopilot_command, free_port
 from autopilot.run.sitl_physics import EmulatedFlight
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_feed import simulated_camera
-from autopilot.sitl.camera_process import CameraProcess, _moved
+from autopilot.sitl.camera_process import CameraProcess, RtpSender, _moved
 from autopilot.sitl.floor import given_markers
-from autopilot.sitl.rtp import RtpSender
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")

@@ -53,7 +53,7 @@ CURRENT_MAP = CurrentMapTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMemoryTuning:
-    """Constants of :mod:`autopilot.control.current.current_memory`."""
+    """Constants of :mod:`autopilot.control.current.currents`."""
 
     cells_per_scale: int = 4
     """Nodes per length over which the current changes."""
