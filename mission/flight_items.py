@@ -1,4 +1,4 @@
-"""Mission items that fly: NAV_ commands with a position or a wait, DO_ and CONDITION_ commands (MAV_CMD, common.xml)."""
+"""Mission items that fly: NAV_ commands with a position or a wait, and DO_ and CONDITION_ (MAV_CMD, common.xml)."""
 
 import math
 
