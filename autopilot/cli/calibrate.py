@@ -155,7 +155,12 @@ def camera(
             ("", "value", "sigma"),
             rows,
         )
-        print_table("Views", ("image", "corners", "rms px", "tilt deg"), _view_rows(result, spread))
+        shown = zip(result.views, result.view_rms_px.tolist(), spread.tilt_rad.tolist(), strict=True)
+        print_table(
+            "Views",
+            ("image", "corners", "rms px", "tilt deg"),
+            [(v.name, str(len(v.pixels)), f"{rms:.3f}", f"{math.degrees(tilt):.0f}") for v, rms, tilt in shown],
+        )
         for name, why in result.left_out:
             click.echo(f"left out: {name}: {why}")
         for remark in warnings:
@@ -163,13 +168,6 @@ def camera(
     origin = f"autopilot calibrate camera: {len(result.views)} views in {medium}, rms {result.rms_px:.2f} px"
     _keep(values, origin, vehicle, out, as_json)
     ctx.exit(EXIT_LOSS if warnings else 0)
-
-
-def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
-    return [
-        (view.name, str(len(view.pixels)), f"{rms:.3f}", f"{math.degrees(tilt):.0f}")
-        for view, rms, tilt in zip(result.views, result.view_rms_px.tolist(), spread.tilt_rad.tolist(), strict=True)
-    ]
 
 
 @calibrate.command()

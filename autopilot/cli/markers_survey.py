@@ -8,7 +8,7 @@ import click
 
 from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
-from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import emit_json, print_table, warn
 from autopilot.cli.markers_board import MARKER_SIZE
 from autopilot.cli.shared_options import JSON, not_over
 
@@ -99,11 +99,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
         emit_json(_survey_json(result))
     else:
         _print_survey(result, options["out"])
-    warnings = _survey_warnings(result, known=options["rough"] is not None)
-    for text in warnings:
-        click.echo(f"warning: {text}", err=True)
-    if warnings:
-        raise click.exceptions.Exit(EXIT_LOSS)
+    warn(_survey_warnings(result, known=options["rough"] is not None))
 
 
 def _rough_map(**options: Any) -> "MarkerMap":

@@ -25,11 +25,10 @@ from autopilot.log.analysis import (
     visits,
 )
 from autopilot.log.check_outside import link_rows, process_rows
-from autopilot.log.drag_work import drag_work
 from autopilot.log.reader import MessageTable
 from autopilot.log.rows import BoundRow, at_most, counted, judged, row, under
 from autopilot.log.settling import Stay, stays
-from autopilot.log.thruster_energy import thruster_power
+from autopilot.log.thruster_energy import drag_work, thruster_power
 from autopilot.log.topics import AID_PREFIX
 
 CONTROL_PERIOD_S = 0.05
