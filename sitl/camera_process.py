@@ -58,7 +58,7 @@ PACKET_BYTES = 1300
 
 
 class RtpSender(Closing):
-    """Sends each picture at once; nobody need listen.
+    """H.264 over RTP (RFC 6184): sends each picture at once; nobody need listen.
 
     Encoded by the library PyAV (extra ``rtp``). A stamp of RTP is the time of exposure at 90 kHz."""
 
@@ -113,7 +113,7 @@ class RtpSender(Closing):
 
 
 class MjpegServer(Closing):
-    """Serves the newest picture to every client, each on a thread of its own; a slow client misses pictures."""
+    """MJPEG over HTTP: the newest picture to every client, each on a thread of its own; a slow one misses some."""
 
     def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
         """``port`` 0: any that is free."""

@@ -94,7 +94,7 @@ class SetPointClient(ScriptedOperator):
 
 
 class Stepped:
-    """Everything but a step with given thrust is the ``own`` controller's."""
+    """A program may give the thrust of a step; everything else is the ``own`` controller's."""
 
     def __init__(self, own: Controller) -> None:
         self._own = own

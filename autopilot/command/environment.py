@@ -75,7 +75,7 @@ MESSAGES = {
 
 
 class CameraWatch:
-    """Reports changes of the camera's state.
+    """Reports changes of the camera's state: black, over-exposed, frozen, torn, foggy or no pictures.
 
     Unusable pictures are rejected before the vision front end and arrive here as fault names. Dark, bright or foggy
     pictures count only while no marker is detected in them."""

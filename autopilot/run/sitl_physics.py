@@ -34,7 +34,7 @@ TRACK_US = 100_000
 
 
 class ArduSubWorld:
-    """Of one scenario; the vehicle in it may be put there anew."""
+    """Round a vehicle with ArduSub in one scenario: water, camera, tracking system, a file of true poses."""
 
     def __init__(
         self,

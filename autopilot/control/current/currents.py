@@ -43,7 +43,8 @@ class _Patch:
 
 
 class CurrentMemory:
-    """Means (3,) by position. Bounded (0.9 MB), deterministic; planar: an estimate counts at all depths.
+    """Estimated currents on a coarse periodic grid, weighted means (3,) by position. Bounded (0.9 MB), deterministic;
+    planar: an estimate counts at all depths.
 
     The nodes carry sums of weights w and of w c, w = duration / (variance + floor) times a Gaussian of the distance.
     At a position the result is (sum of w c + w0 c0) / (sum of w + w0), the sums interpolated between the four nodes

@@ -1,4 +1,5 @@
-"""Messages of dataclasses: how to pack one and how to read it back, made from its schema and its annotations.
+"""Messages of dataclasses, samples among them: how to pack and read them, made from schema and annotations. Samples are
+logged exactly as the estimator gets them, and as standard messages for viewers.
 
 A field of the message holds the attribute of the same name. Counts are cut to what an unsigned field holds, arrays of
 one value per thruster and tuples are filled up with zeros, a number that is None is NaN; whether an array is None
