@@ -100,7 +100,7 @@ class OutputWatch:
         if t_us - meant[-1][0] > PAUSE_US:
             commands.append(still)
         if slow_heave is None:
-            wrong = not _is_meant(found, commands)
+            wrong = not any(_alike(found, one) for one in reversed(commands))
         else:
             wrong = not _is_slowly_meant(found, commands, slow_heave)
         self._wrong.append((now_us, wrong))
@@ -139,11 +139,6 @@ class OutputWatch:
         meant = self._meant[-1][1]
         worst = max(range(len(meant)), key=lambda motor: abs(found[motor] - meant[motor]))
         return f"motor {worst + 1} gets {found[worst]} us instead of {meant[worst]}: check its settings"
-
-
-def _is_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
-    """Whether it is one of the last commands."""
-    return any(_alike(found, meant) for meant in reversed(commands))
 
 
 def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]], signs: Sequence[float]) -> bool:

@@ -24,9 +24,9 @@ from autopilot.estimator.ground import ground_of
 from autopilot.estimator.inertial import InertialStep, ProcessNoiseMode
 from autopilot.estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
 from autopilot.estimator.measure_depth import Depth
-from autopilot.estimator.measure_laser import LaserRange
 from autopilot.estimator.measure_model import ModelAcceleration
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_range import LaserRange
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
 from autopilot.estimator.motion import moved
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions

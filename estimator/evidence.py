@@ -11,7 +11,7 @@ from autopilot.estimator.estimator_tuning import EVIDENCE, INERTIAL_MONITOR
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_depth import DepthAid
-from autopilot.estimator.measure_laser import LaserAid
+from autopilot.estimator.measure_range import LaserAid
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.states import LASER_BIAS

@@ -15,9 +15,9 @@ from autopilot.estimator.measure_depth import DepthAid
 from autopilot.estimator.measure_external import ExternalAid
 from autopilot.estimator.measure_gps import GpsAid
 from autopilot.estimator.measure_heading import HeadingAid
-from autopilot.estimator.measure_laser import LaserAid
 from autopilot.estimator.measure_markers import MarkersAid
 from autopilot.estimator.measure_model import ModelAid
+from autopilot.estimator.measure_range import LaserAid
 from autopilot.estimator.measure_velocity import VelocityAid
 from autopilot.estimator.options import EstimatorOptions
 from autopilot.estimator.pictures import Pictures

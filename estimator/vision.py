@@ -55,11 +55,6 @@ class Hint:
     """(3,)"""
 
 
-def _spread_out(count: int) -> IntArray:
-    """Which of so many markers a sighting holds: all, or as many as it can, spread over the picture."""
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_SIGHTED)).round().astype(np.int64))
-
-
 class MarkerDetector:
     """Finds the markers of one map with one camera."""
 
@@ -84,7 +79,8 @@ class MarkerDetector:
         each = self._blind(grey, hazy) if hint is None else self._predicted(grey, hazy, hint)
         laser = find_dot(image, self._camera, self._laser_range_m(hint)) if self._camera.has_laser else None
         ids = np.array([int(i) for some in each for i in some.ids], dtype=np.int64)
-        kept = _spread_out(len(ids))
+        # All, or as many as a sighting can hold, spread over the picture.
+        kept = np.unique(np.linspace(0, len(ids) - 1, min(len(ids), MAX_SIGHTED)).round().astype(np.int64))
         corners_px = np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)])
         return MarkerSighting(
             t_us=frame.t_us,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from autopilot.mission import do_items, nav_items, payload_items
+from autopilot.mission import flight_items, payload_items
 from autopilot.mission.decode import refuse
 from autopilot.mission.items import GLOBAL_FRAMES, Command, MavFrame, NoOp, Step
 
@@ -30,73 +30,73 @@ class ItemType:
 _ROWS = (
     ItemType(
         Command.NAV_WAYPOINT,
-        nav_items.goto,
+        flight_items.goto,
         "p1 hold [s], p2 acceptance radius [m] (0 = `WP_ACCEPT_RADIUS`, else at least 0.02), p3 must be 0, p4 yaw",
         placed=True,
     ),
-    ItemType(Command.NAV_LOITER_UNLIM, nav_items.loiter, "p4 yaw; position 0, 0 or frame 2 = here", placed=True),
+    ItemType(Command.NAV_LOITER_UNLIM, flight_items.loiter, "p4 yaw; position 0, 0 or frame 2 = here", placed=True),
     ItemType(
         Command.NAV_LOITER_TURNS,
-        nav_items.circuit,
+        flight_items.circuit,
         "p1 turns, p3 radius [m] (negative = to port, 0 = `CIRCLE_RADIUS`); speed as last set or `CIRCLE_SPEED`; "
         "heading to the centre; position as 17; the whole circle must be clear of the fence",
         placed=True,
     ),
-    ItemType(Command.NAV_LOITER_TIME, nav_items.loiter, "p1 time [s]; position as 17", placed=True),
+    ItemType(Command.NAV_LOITER_TIME, flight_items.loiter, "p1 time [s]; position as 17", placed=True),
     ItemType(
         Command.NAV_RETURN_TO_LAUNCH,
-        nav_items.return_home,
+        flight_items.return_home,
         "home at the depth of the goal before; ends the mission",
     ),
     ItemType(
         Command.NAV_LAND,
-        nav_items.surface,
+        flight_items.surface,
         "surfaces there (or here), disarms, ends the mission; altitude unused",
         placed=True,
     ),
     ItemType(
         Command.NAV_TAKEOFF,
-        nav_items.take_off,
+        flight_items.take_off,
         "p4 yaw; dives in place; an altitude in the water is the depth, one above it means `TKOFF_DEPTH`; position"
         " unused",
     ),
-    ItemType(Command.NAV_DELAY, nav_items.wait, "p1 [s] without pauses; a time of day is refused"),
-    ItemType(Command.CONDITION_DELAY, nav_items.wait, "as 93, without a MISSION_ITEM_REACHED"),
+    ItemType(Command.NAV_DELAY, flight_items.wait, "p1 [s] without pauses; a time of day is refused"),
+    ItemType(Command.CONDITION_DELAY, flight_items.wait, "as 93, without a MISSION_ITEM_REACHED"),
     ItemType(
         Command.CONDITION_DISTANCE,
-        do_items.near,
+        flight_items.near,
         "p1 [m]: the following DO_ items wait until the next place is so near",
     ),
     ItemType(
         Command.CONDITION_YAW,
-        do_items.set_heading,
+        flight_items.set_heading,
         "p1 heading [deg], p3 -1 = to port, p4 1 = relative; for later goals without a heading, at once for a "
         "delay that follows",
     ),
     ItemType(
         Command.CONDITION_GATE,
-        do_items.gate,
+        flight_items.gate,
         "as 114, until the plane through this place across the path is passed; p1 0, p2 1 = its altitude counts",
         placed=True,
     ),
-    ItemType(Command.DO_JUMP, do_items.jump, "p1 item, p2 repeats (-1 = for ever)"),
+    ItemType(Command.DO_JUMP, flight_items.jump, "p1 item, p2 repeats (-1 = for ever)"),
     ItemType(
         Command.DO_CHANGE_SPEED,
-        do_items.change_speed,
+        flight_items.change_speed,
         "p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX`; -2 = `SPD_CRUISE` again",
     ),
-    ItemType(Command.DO_SET_HOME, do_items.set_home, "p1 1 = here"),
+    ItemType(Command.DO_SET_HOME, flight_items.set_home, "p1 1 = here"),
     ItemType(
         Command.DO_SET_ROI_LOCATION,
-        do_items.look_at,
+        flight_items.look_at,
         "heading to this place from here on (altitude unused); headings of waypoints do not count",
         placed=True,
     ),
-    ItemType(Command.DO_SET_ROI_NONE, do_items.look_at, "ends that"),
-    ItemType(Command.DO_SET_ROI, do_items.look_at, "p1 3 or 0; as 195; position 0, 0 = as 197", placed=True),
+    ItemType(Command.DO_SET_ROI_NONE, flight_items.look_at, "ends that"),
+    ItemType(Command.DO_SET_ROI, flight_items.look_at, "p1 3 or 0; as 195; position 0, 0 = as 197", placed=True),
     ItemType(
         Command.DO_FENCE_ENABLE,
-        do_items.fence_on,
+        flight_items.fence_on,
         "p1 1; 0 and 2 are refused: a mission cannot switch the fence off",
     ),
     ItemType(

@@ -22,15 +22,13 @@ from autopilot.sitl.contact import Prism
 from autopilot.sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
 from autopilot.sitl.floor import build_markers
 from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
-from autopilot.sitl.hull_sensor import SimHullSensor
-from autopilot.sitl.obstacle_sensor import SimObstacleSensor
-from autopilot.sitl.optional_sensors import SensedWorld, optional_sensors
+from autopilot.sitl.machine_faults import SharedThrusters
+from autopilot.sitl.optional_sensors import SensedWorld, SimHullSensor, SimObstacleSensor, optional_sensors
 from autopilot.sitl.payload_devices import SimPayload
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
 from autopilot.sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
 from autopilot.sitl.scenario_tables import Fault, Scenario, ThrusterLoss
-from autopilot.sitl.second_sender import SharedThrusters
 from autopilot.sitl.waves import wave_train
 
 POWER_PERIOD_US = 500_000

@@ -9,24 +9,28 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from queue import Empty, SimpleQueue
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
+
+import cv2
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import r_ned_from_frd, rpy_from_r
 from autopilot.core.own_python import python_command
+from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
 from autopilot.drivers.frame_clock import LoopTime, machine_us
 from autopilot.sitl.camera_feed import CameraFeed, is_of_camera, simulated_camera
-from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.rtp import RtpSender
 from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.sitl.sitl_tuning import CAMERA_FEED
 
@@ -40,6 +44,146 @@ some seconds its pictures would come before they are due."""
 NICER = 5
 """On a busy computer pictures are lost, not control steps."""
 END_S = 5.0
+QUALITY = 90
+BOUNDARY = b"frame"
+_HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=" + BOUNDARY + b"\r\n\r\n"
+SEND_S = 1.0
+"""A client that takes nothing for so long is left."""
+RTP_HZ = 90_000
+KEY_EVERY = 30
+"""Pictures between two that need no other: who listens later, or has lost one, sees after as many at most."""
+BIT_RATE = 5_000_000
+"""As these cameras are set up, for pictures of 640 x 480 as well."""
+PACKET_BYTES = 1300
+
+
+class RtpSender(Closing):
+    """H.264 over RTP (RFC 6184): sends each picture at once; nobody need listen.
+
+    Encoded by the library PyAV (extra ``rtp``). A stamp of RTP is the time of exposure at 90 kHz."""
+
+    def __init__(self, host: str, port: int, rate_hz: float) -> None:
+        self.port, self._host = port, host
+        self._rate_hz = rate_hz
+        self._container: Any = None
+        self._stream: Any = None
+
+    def open(self) -> None:
+        """ConfigError without the library. OSError if nothing can be sent there."""
+        try:
+            import av
+        except ImportError as error:
+            raise ConfigError("H.264 needs PyAV; install underwater-autopilot[rtp], or use MJPEG") from error
+        url = f"rtp://{self._host}:{self.port}?pkt_size={PACKET_BYTES}"
+        self._container = av.open(url, "w", format="rtp")
+
+    def close(self) -> None:
+        container, self._container, self._stream = self._container, None, None
+        if container is not None:
+            with suppress(OSError):
+                container.close()
+
+    def show(self, frame: CameraFrame) -> None:
+        """Send this picture; one that cannot be sent is lost."""
+        import av
+
+        if self._container is None:
+            return
+        if self._stream is None:
+            self._stream = self._encoder(*frame.image_bgr.shape[:2])
+        picture = av.VideoFrame.from_ndarray(frame.image_bgr, format="bgr24")
+        picture.pts, picture.time_base = frame.t_us * RTP_HZ // 1_000_000, Fraction(1, RTP_HZ)
+        with suppress(OSError):
+            for packet in self._stream.encode(picture):
+                self._container.mux(packet)
+
+    def _encoder(self, height_px: int, width_px: int) -> Any:
+        from av.codec.context import Flags
+
+        stream = self._container.add_stream("libx264", rate=round(self._rate_hz))
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = width_px, height_px, "yuv420p", BIT_RATE
+        stream.time_base = stream.codec_context.time_base = Fraction(1, RTP_HZ)
+        stream.options = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "x264-params": f"repeat-headers=1:keyint={KEY_EVERY}",
+        }
+        stream.codec_context.flags &= ~Flags.global_header  # the stream itself tells what it is, again and again
+        return stream
+
+
+class MjpegServer(Closing):
+    """MJPEG over HTTP: the newest picture to every client, each on a thread of its own; a slow one misses some."""
+
+    def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
+        """``port`` 0: any that is free."""
+        self.port, self._host = port, host
+        self._listener: socket.socket | None = None
+        self._newest: tuple[int, CameraFrame | None] = (0, None)
+        self._fresh = threading.Condition()
+        self._clients = 0
+
+    @property
+    def url(self) -> str:
+        """URL for a camera driver."""
+        return f"http://{self._host}:{self.port}/video.mjpg"
+
+    @property
+    def clients(self) -> int:
+        return self._clients
+
+    def open(self) -> None:
+        if self._listener is None:
+            self._listener = socket.create_server((self._host, self.port))
+            self.port = self._listener.getsockname()[1]
+            threading.Thread(target=self._accept, args=(self._listener,), name="mjpeg", daemon=True).start()
+
+    def close(self) -> None:
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            with suppress(OSError):
+                listener.shutdown(socket.SHUT_RDWR)
+            listener.close()
+        with self._fresh:
+            self._fresh.notify_all()
+
+    def show(self, frame: CameraFrame) -> None:
+        """Send this picture from now on. It is packed by those who send it."""
+        with self._fresh:
+            self._newest = self._newest[0] + 1, frame
+            self._fresh.notify_all()
+
+    def _accept(self, listener: socket.socket) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                client, _ = listener.accept()
+                threading.Thread(target=self._serve, args=(client, listener), name="mjpeg", daemon=True).start()
+
+    def _serve(self, client: socket.socket, listener: socket.socket) -> None:
+        self._clients += 1
+        with client, suppress(OSError):
+            client.settimeout(SEND_S)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client.recv(4096)
+            client.sendall(_HEAD)
+            shown = 0
+            while self._listener is listener:
+                shown, jpeg = self._after(shown, listener)
+                if jpeg:
+                    size = str(len(jpeg)).encode()
+                    head = b"--" + BOUNDARY + b"\r\nContent-Type: image/jpeg\r\nContent-Length: " + size + b"\r\n\r\n"
+                    client.sendall(head + jpeg + b"\r\n")
+        self._clients -= 1
+
+    def _after(self, shown: int, listener: socket.socket) -> tuple[int, bytes]:
+        """Wait for a picture that is newer than number ``shown``: its number and bytes; none after a while."""
+        with self._fresh:
+            self._fresh.wait_for(lambda: self._newest[0] != shown or self._listener is not listener, 1.0)
+            number, frame = self._newest
+        if number == shown or frame is None:
+            return shown, b""
+        good, jpeg = cv2.imencode(".jpg", frame.image_bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        return number, jpeg.tobytes() if good else b""
 
 
 class CameraPlace(NamedTuple):

@@ -1,12 +1,57 @@
 """Faults of the machine: late ticks, a full disk, a changed clock, a killed process."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from autopilot.core.clock import TICK_US
-from autopilot.core.messages import DeviceRole, DeviceTrouble, Inputs
-from autopilot.sitl.fault_tables import ClockJump, DiskFull, SlowLoop, WatchdogEnded
+from autopilot.core.messages import Authority, DeviceRole, DeviceTrouble, FlightControllerState, Inputs
+from autopilot.drivers.ardusub_senders import OutputWatch
+from autopilot.sitl.fault_tables import ClockJump, DiskFull, SecondSender, SlowLoop, WatchdogEnded
 from autopilot.sitl.scenario_tables import Fault
+
+STANDS_US = 20_000
+"""What another has sent stands until the service's next command is read (50 Hz)."""
+REPORT_US = 20_000
+
+
+class SharedThrusters:
+    """A second source of thruster commands beside the service: the last of two senders wins."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self._faults = [fault for fault in faults if isinstance(fault, SecondSender)]
+        self._watch = OutputWatch()
+        self._found: tuple[int, ...] = ()
+        self._reported_us = 0
+
+    @property
+    def reported(self) -> bool:
+        """Whether outputs are reported: in scenarios that need it."""
+        return bool(self._faults)
+
+    def pulses_us(self, t_us: int, ours: tuple[int, ...]) -> tuple[int, ...]:
+        """Pulses at the outputs now [us]."""
+        self._found = ours
+        for fault in self._faults:
+            if fault.holds(t_us) and round(t_us - 1e6 * fault.at_s) % round(1e6 / fault.rate_hz) < STANDS_US:
+                self._found = tuple(pulse + round(fault.push_us) * (-1) ** place for place, pulse in enumerate(ours))
+        return self._found
+
+    def sent(self, t_us: int, pulses_us: tuple[int, ...]) -> None:
+        if self._faults:
+            self._watch.sent(t_us, pulses_us)
+
+    def below(self, t_us: int, *, armed: bool) -> FlightControllerState | None:
+        """As a flight controller reports it; None in a vehicle without one."""
+        if not self._faults:
+            return None
+        if t_us - self._reported_us >= REPORT_US and self._found:
+            self._reported_us = t_us
+            self._watch.check(t_us, t_us & 0xFFFFFFFF, self._found, slow_heave=None)
+        rival = armed and self._watch.rival
+        pulses_us = self._found if rival else ()
+        return FlightControllerState(
+            t_us=t_us, authority=Authority.OURS, acts=True, pulses_us=pulses_us, armed=armed, rival=rival
+        )
 
 
 class MachineFaults:

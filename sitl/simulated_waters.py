@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from autopilot.core.errors import ConfigError
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
-from autopilot.sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
+from autopilot.sitl.contact import Cylinder, MovingCylinder, MovingPath, Prism, Solid, Sphere
 from autopilot.sitl.current_fields import STILL, CurrentField, current_field
-from autopilot.sitl.moving import MovingPath
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
 

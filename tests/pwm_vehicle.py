@@ -16,8 +16,8 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.run.children import free_port
 from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.hil import PtyLine
 from autopilot.sitl.protocol import PlantContext, create_plant
-from autopilot.sitl.pty_line import PtyLine
 from autopilot.sitl.scenario import load_scenario
 
 NEUTRAL = (1500.0,) * 4

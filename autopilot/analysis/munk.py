@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.core.clock import TICK_US

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.control.path.path_tuning import GUIDANCE
 from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
-from autopilot.core.messages import ControlOutput, Goal
+from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
 from autopilot.core.model4 import YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -32,6 +31,23 @@ WAYPOINTS = ((1.75, 0.0, 0.30, math.pi), (-1.60, -0.35, 0.45, 0.0))
 """B and A of the paper: x, y, z [m], yaw [rad]."""
 
 QUADRATIC = ParamSet({"MPC_COST": 0})
+
+
+def estimate_of(
+    t_us: int, x: FloatArray, *, current_ned_m_s: FloatArray | None = None, sigma: FloatArray | None = None
+) -> NavState:
+    """Estimate equal to the state ``x`` (8,); ``sigma`` (12,): its standard deviations (default: none)."""
+    return NavState(
+        t_us=t_us,
+        health=NavHealth.GOOD,
+        pos_ned_m=x[:3],
+        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[YAW]))]),
+        vel_frd_m_s=x[4:7],
+        vel_water_frd_m_s=x[4:7],
+        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
+        current_ned_m_s=np.zeros(3) if current_ned_m_s is None else current_ned_m_s,
+        variance=np.zeros(12) if sigma is None else sigma**2,
+    )
 
 
 def basin(obstacles: int, seed: int = 3) -> Fence:

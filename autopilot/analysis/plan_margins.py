@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.control.path.path_tuning import GUIDANCE
@@ -39,6 +39,8 @@ STEP_US = 50_000
 SPEEDS_M_S = (0.0, 0.35, 0.5)
 NODES = (1, 8, 19)
 """Nodes of the table: 0.1, 1.3 and 7 s ahead."""
+AS_CERTIFIED = ("alpha", "radius_m", "depth_m", "binding", "samples", "violations", "shrunk", "fits", "text")
+"""Attributes of a certificate that its row has as they are."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +80,7 @@ class LipschitzRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CertificateRow:
-    """Terminal region of one waypoint in one current."""
+    """Terminal region of one waypoint in one current (:class:`autopilot.control.robust.terminal.Certificate`)."""
 
     item: int
     current_n_e_m_s: str
@@ -210,17 +212,9 @@ def certificate_table(
                 CertificateRow(
                     item=goal.seq,
                     current_n_e_m_s=f"{current[0]:g}, {current[1]:g}",
-                    alpha=made.alpha,
-                    radius_m=made.radius_m,
-                    depth_m=made.depth_m,
                     yaw_deg=math.degrees(made.yaw_rad),
                     speed_m_s=made.planar_speed_m_s,
-                    binding=made.binding,
-                    samples=made.samples,
-                    violations=made.violations,
-                    shrunk=made.shrunk,
-                    fits=made.fits,
-                    text=made.text,
+                    **{name: getattr(made, name) for name in AS_CERTIFIED},
                 )
             )
     return rows

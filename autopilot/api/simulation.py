@@ -12,19 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self, Unpack, cast
+from typing import Any, Self, Unpack, cast
 
 import numpy as np
 
 from autopilot.api.arrays import finite, thrust_limit_n
-from autopilot.api.set_points import SetPointClient
 from autopilot.api.settings import FlightOptions, checked_seed, settings_of
-from autopilot.api.stepped import Stepped
-from autopilot.control.protocol import STEP_S, Controller
+from autopilot.control.protocol import STEP_S, Controller, simple_output
 from autopilot.core.clock import TICK_US
 from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, NavState, Outputs, ProgressState
+from autopilot.core.messages import ControlOutput, Goal, NavState, Outputs, ProgressState
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.log_session import free_path
 from autopilot.log.reader import Log, open_log
@@ -33,6 +31,7 @@ from autopilot.run.config import system_id
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_params import sitl_params
 from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.sitl.operator import ARM, Order, ScriptedOperator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario
 
@@ -46,6 +45,80 @@ FARTHEST_M = 1e7
 
 SETTLED_S = 3.0
 """A flight goes on for so long after its mission is complete."""
+OFFBOARD: Order = (176, (1.0, 6.0))
+"""MAV_CMD_DO_SET_MODE, PX4's main mode 6: follow set points (mode GUIDED)."""
+
+PERIOD_US = 100_000
+"""Set points are repeated: without them mode GUIDED ends after OFFB_TIMEOUT."""
+
+IGNORED = 0b1001_1111_1000
+"""POSITION_TARGET_TYPEMASK: position and yaw count; velocities, accelerations and yaw rate do not."""
+NO_YAW = 1 << 10
+
+LOCAL_NED = 1
+"""MAV_FRAME"""
+
+
+class SetPointClient(ScriptedOperator):
+    """Sends its goal as SET_POSITION_TARGET_LOCAL_NED while it has one."""
+
+    def __init__(self, *, arms: bool) -> None:
+        """``arms``: else another client does."""
+        super().__init__(1, orders=(ARM,) if arms else ())
+        self._goal: tuple[float, float, float, float] | None = None
+        self._sent_goal_us = -PERIOD_US
+        self._asked = False
+
+    def go_to(self, goal: tuple[float, float, float, float], *, guided: bool) -> None:
+        """North, east, depth [m], yaw [rad] (NaN = free), from the next tick on. ``guided``: the mode is GUIDED."""
+        self._asked = guided  # a refused set point or a failsafe has ended it, or it has not begun
+        if goal != self._goal:
+            self._goal, self._sent_goal_us = goal, -PERIOD_US
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        if self._goal is None:
+            return super().step(t_us, received)
+        out: list[bytes] = []
+        if t_us - self._sent_goal_us >= PERIOD_US:
+            self._sent_goal_us = t_us
+            north_m, east_m, depth_m, yaw_rad = self._goal
+            free = math.isnan(yaw_rad)
+            place = (north_m, east_m, depth_m, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 if free else yaw_rad, 0.0)
+            mask = IGNORED | (NO_YAW if free else 0)
+            target = self._mav.set_position_target_local_ned_encode(0, self.target_system, 1, LOCAL_NED, mask, *place)
+            out.append(self._pack(target))
+        if not self._asked and self.started:
+            self._asked = True
+            self._todo.append(OFFBOARD)
+        return out + super().step(t_us, received)
+
+
+class Stepped:
+    """A program may give the thrust of a step; everything else is the ``own`` controller's."""
+
+    def __init__(self, own: Controller) -> None:
+        self._own = own
+        self.thrust_n: FloatArray | None = None
+        """(N,) [N] from the next step on, None = the own controller's."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._own, name)
+
+    def step(self, t_us: int, nav: NavState, *situation: Any, delay_s: float | None) -> ControlOutput:
+        if self.thrust_n is not None:
+            return simple_output(t_us, nav, self.thrust_n)
+        return self._own.step(t_us, nav, *situation, delay_s=delay_s)
+
+    def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
+        return None if self.thrust_n is not None else self._own.tick(t_us, nav)
+
+    @property
+    def unreachable(self) -> bool:
+        return self.thrust_n is None and self._own.unreachable
+
+    @property
+    def shortfall(self) -> str:
+        return "" if self.thrust_n is not None else self._own.shortfall
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -20,7 +20,7 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.live_service import Station
-from autopilot.bench.part_times import PartTimes
+from autopilot.bench.sitl_row import PartTimes
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs

@@ -3,7 +3,7 @@
 import os
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 import psutil
 
-from autopilot.bench.part_times import PartTimes
+from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -25,6 +25,26 @@ ASKED = {("pose", "energy"): 20.0, ("pose", "quadratic"): 40.0, ("camera", "ener
 
 SHOWN_MS = 0.01
 """Parts of a tick below this time are not listed."""
+
+
+class PartTimes:
+    """CPU time of the stages of a mean tick."""
+
+    def __init__(self) -> None:
+        self._parts_s = np.zeros(len(LoopPart))
+        self._ticks = 0
+
+    def add(self, part_s: Sequence[float]) -> None:
+        """The stage times of a tick [s]."""
+        self._parts_s += part_s
+        self._ticks += 1
+
+    @property
+    def mean_ms(self) -> dict[LoopPart, float]:
+        """Mean per tick, the largest first; parts that take nothing left out."""
+        mean_ms = 1e3 * self._parts_s / max(self._ticks, 1)
+        parts = {part: float(mean_ms[part]) for part in LoopPart if mean_ms[part] > 0.0}
+        return dict(sorted(parts.items(), key=lambda each: -each[1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -41,7 +41,7 @@ def _fault(kind: str, lasts_s: float | None = LASTING_S, at_s: float = 0.0, **ke
     return {"kind": kind, "at_s": at_s, **({} if lasts_s is None else {"duration_s": lasts_s}), **keys}
 
 
-BROKEN = "autopilot.campaign.broken_parts"
+BROKEN = "autopilot.campaign.fault_flights"
 
 CASES: tuple[FaultCase, ...] = (
     FaultCase(

@@ -11,8 +11,7 @@ from pathlib import Path
 import click
 
 from autopilot.cli import bench_rows
-from autopilot.cli.bench_rows import Work
-from autopilot.cli.bench_tables import SHORT, SITL_HEADS, TITLES, names
+from autopilot.cli.bench_rows import SHORT, SITL_HEADS, TITLES, Work, names
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.shared_options import JSON
 

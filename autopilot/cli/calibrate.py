@@ -30,7 +30,7 @@ def _board_options(command: Any) -> Any:
     for option in reversed(
         [
             click.option(
-                "--board", type=OneOf(["charuco", "grid", "chessboard"]), default="charuco", show_default=True
+                "--board", "kind", type=OneOf(["charuco", "grid", "chessboard"]), default="charuco", show_default=True
             ),
             click.option(
                 "--shape",
@@ -38,8 +38,12 @@ def _board_options(command: Any) -> Any:
                 show_default=True,
                 help="Squares (or markers) across and down; of a chessboard squares, not inner corners.",
             ),
-            click.option("--square", type=Finite(), default=0.030, show_default=True, help="Pitch of squares [m]."),
-            click.option("--marker", type=Finite(), default=0.022, show_default=True, help="Side of a marker [m]."),
+            click.option(
+                "--square", "pitch_m", type=Finite(), default=0.030, show_default=True, help="Pitch of squares [m]."
+            ),
+            click.option(
+                "--marker", "marker_m", type=Finite(), default=0.022, show_default=True, help="Side of a marker [m]."
+            ),
             click.option("--dictionary", default="DICT_5X5_100", show_default=True, help="Name or file (.yml)."),
             click.option("--legacy", is_flag=True, help="ChArUco drawn by OpenCV before 4.6."),
         ]
@@ -48,22 +52,11 @@ def _board_options(command: Any) -> Any:
     return command
 
 
-def _board(board: str, shape: str, square: float, marker: float, dictionary: str, legacy: bool) -> "CalibrationBoard":
+def _board(shape: str, **spec: Any) -> "CalibrationBoard":
     from autopilot.calibrate.boards import BoardSpec, CalibrationBoard, parse_shape
 
     columns, rows = parse_shape(shape)
-    kind: Any = board
-    return CalibrationBoard(
-        BoardSpec(
-            kind=kind,
-            columns=columns,
-            rows=rows,
-            pitch_m=square,
-            marker_m=marker,
-            dictionary=dictionary,
-            legacy=legacy,
-        )
-    )
+    return CalibrationBoard(BoardSpec(columns=columns, rows=rows, **spec))
 
 
 @click.group()
@@ -77,13 +70,13 @@ calibrate.add_command(flight)
 @calibrate.command()
 @_board_options
 @click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
-def board(sheet: Path, board: str, **spec: Any) -> None:
+def board(sheet: Path, **spec: Any) -> None:
     """Write SHEET (.svg): a calibration board to print at true scale."""
     from autopilot.core.disk import write_result
 
     if sheet.suffix.lower() != ".svg":
         raise click.UsageError(f"{sheet}: a sheet is an SVG file; name it .svg")
-    made = _board(board, **spec)
+    made = _board(**spec)
     write_result(sheet, made.svg())
     width_m, height_m = made.spec.size_m
     click.echo(f"{sheet}: {1e3 * width_m:g} x {1e3 * height_m:g} mm; print at 100 % and measure the line below it")
@@ -113,7 +106,6 @@ def camera(
     plot: Path | None,
     out: Path | None,
     as_json: bool,
-    board: str,
     **spec: Any,
 ) -> None:
     """Intrinsics from SOURCE: a folder of images of a board, a camera (/dev/video0) or a film. Exit 3 with remarks."""
@@ -125,7 +117,7 @@ def camera(
     if plot is not None:
         need_analysis()
     expected = load_vehicle(vehicle).eye
-    made = _board(board, **spec)
+    made = _board(**spec)
     path = Path(source)
     live = source.startswith("/dev/") or (path.is_file() and not is_image(path))
     images = live_images(made, source, views, save) if live else read_images(image_files(path, ", or a film of it"))
@@ -163,7 +155,12 @@ def camera(
             ("", "value", "sigma"),
             rows,
         )
-        print_table("Views", ("image", "corners", "rms px", "tilt deg"), _view_rows(result, spread))
+        shown = zip(result.views, result.view_rms_px.tolist(), spread.tilt_rad.tolist(), strict=True)
+        print_table(
+            "Views",
+            ("image", "corners", "rms px", "tilt deg"),
+            [(v.name, str(len(v.pixels)), f"{rms:.3f}", f"{math.degrees(tilt):.0f}") for v, rms, tilt in shown],
+        )
         for name, why in result.left_out:
             click.echo(f"left out: {name}: {why}")
         for remark in warnings:
@@ -171,13 +168,6 @@ def camera(
     origin = f"autopilot calibrate camera: {len(result.views)} views in {medium}, rms {result.rms_px:.2f} px"
     _keep(values, origin, vehicle, out, as_json)
     ctx.exit(EXIT_LOSS if warnings else 0)
-
-
-def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
-    return [
-        (view.name, str(len(view.pixels)), f"{rms:.3f}", f"{math.degrees(tilt):.0f}")
-        for view, rms, tilt in zip(result.views, result.view_rms_px.tolist(), spread.tilt_rad.tolist(), strict=True)
-    ]
 
 
 @calibrate.command()
@@ -282,7 +272,6 @@ def laser(
     map_file: Path | None,
     out: Path | None,
     as_json: bool,
-    board: str,
     **spec: Any,
 ) -> None:
     """Offset and direction of the beam from SOURCE: a log, or a folder of pictures of a board with the dot on it.
@@ -299,7 +288,7 @@ def laser(
     if source.is_dir() or is_image(source):
         known = load_vehicle(vehicle or "lbv150")
         model = CameraModel.of_vehicle(known)
-        dots = board_dots(_board(board, **spec), model, source)
+        dots = board_dots(_board(**spec), model, source)
         title = f"{source}: {dots.pictures} pictures with green dots"
     else:
         flight = read_flight(source, vehicle, map_file)

@@ -63,7 +63,7 @@ class _Campaign(click.Group):
 
 
 FLY = "fly"
-_MODULES = {name: f"autopilot.cli.campaign_{name}" for name in ("rooms", "sets", "faults")}
+_MODULES = dict.fromkeys(("rooms", "sets", "faults"), "autopilot.cli.campaign_sets")
 
 
 @click.group(cls=_Campaign)
@@ -110,7 +110,9 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
 @SCENARIO_VEHICLE
-@click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End every run after so many seconds.")
+@click.option(
+    "--duration", "duration_s", type=FiniteRange(min=0.0, min_open=True), help="End every run after so many seconds."
+)
 @click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
@@ -130,19 +132,13 @@ def fly(
     engine: str,
     jobs: int | None,
     shard: str,
-    seed: int | None,
-    vehicle: str | None,
-    duration: float | None,
-    controller: str | None,
-    estimator: str | None,
-    plant: str | None,
-    sensors: str | None,
     param: tuple[str, ...],
     figures: bool,
     paper: str | None,
     columns: int,
     logs: int,
     as_json: bool,
+    **given: Any,
 ) -> None:
     """Fly SCENARIO (a shipped name or a TOML file) RUNS times, each with another seed and other values of its [spread].
 
@@ -161,17 +157,7 @@ def fly(
 
     if figures:
         need_analysis()
-    defined = define(
-        scenario,
-        seed=seed,
-        controller=controller,
-        estimator=estimator,
-        plant=plant,
-        sensors=sensors,
-        duration_s=duration,
-        params=parse_overrides(param),
-        vehicle=vehicle,
-    )
+    defined = define(scenario, params=parse_overrides(param), **given)
     if defined.identity.own_code:
         from autopilot.campaign.flight import check  # all that flies
 
@@ -244,7 +230,7 @@ def keep(
     its worst runs. LogError if they cannot be written.
     """
     from autopilot.campaign.run_store import GO_ON
-    from autopilot.campaign.tabular import write_tables
+    from autopilot.campaign.run_table import write_tables
     from autopilot.campaign.worst import logs_of
     from autopilot.core.errors import LogError
 

@@ -32,6 +32,14 @@ def _finite(value: Any) -> Any:
     return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
+def warn(texts: Sequence[str]) -> None:
+    """Print warnings on stderr; with any, the exit code says so."""
+    for text in texts:
+        click.echo(f"warning: {text}", err=True)
+    if texts:
+        raise click.exceptions.Exit(EXIT_LOSS)
+
+
 SPEED_OVER_S = 3600.0
 """The time that remains is told from the steps of so long: one may take minutes."""
 FILE_WIDTH = 140

@@ -61,6 +61,7 @@ def _print(result: FlightResult) -> None:
 
 
 def _plain(result: FlightResult) -> dict[str, object]:
+    shown = ("name", "unit", "limit", "worst", "margin")
     return {
         "scenario": result.scenario,
         "passed": result.passed,
@@ -68,17 +69,7 @@ def _plain(result: FlightResult) -> dict[str, object]:
         "report": str(result.report),
         "figures": [str(figure) for figure in result.figures],
         "wall_s": result.wall_s,
-        "rows": [
-            {
-                "name": row.name,
-                "unit": row.unit,
-                "limit": row.limit,
-                "worst": row.worst,
-                "margin": row.margin,
-                "verdict": row.verdict.value,
-            }
-            for row in result.rows
-        ],
+        "rows": [{"verdict": row.verdict.value, **{name: getattr(row, name) for name in shown}} for row in result.rows],
     }
 
 

@@ -1,16 +1,11 @@
 """``autopilot doctor``: check a vehicle before it goes into the water."""
 
-from typing import TYPE_CHECKING
-
 import click
 
 from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.completion import PARAM_VALUE
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.shared_options import CONFIG, INSTANCE, JSON
-
-if TYPE_CHECKING:
-    from autopilot.run.findings import Finding
 
 WARNING = "The thrusters are armed and turn for two seconds. Take all propellers off."
 
@@ -49,14 +44,22 @@ def doctor(
     """
     if measure_neutral and not yes:
         click.confirm(f"{WARNING} Are they off?", abort=True, err=True)
-    findings = _examined(
-        config,
-        {"plan": plan, "connect": connect},
-        param,
-        instance=instance,
-        seconds=seconds,
-        measure_neutral=measure_neutral,
-    )
+    from autopilot.analysis.nmpc_flight import FlightTrials
+    from autopilot.core.errors import AutopilotError
+    from autopilot.run.config import gather, parse_overrides, vehicle_defaults
+    from autopilot.run.doctor import examine, failed_config
+    from autopilot.run.neutral_time import measure
+    from autopilot.run.vehicle_config import load_config
+
+    overrides, given = parse_overrides(param), {"plan": plan, "connect": connect}
+    try:
+        loaded = load_config(config)
+        file = loaded.file.service.given(loaded.path.parent)
+        settings = gather(vehicle_defaults(instance), given, file=file, file_name=loaded.path.name)
+        findings = examine(loaded, settings, seconds, overrides, instance=instance, flying=FlightTrials())
+        findings += [measure(loaded)] if measure_neutral else []
+    except AutopilotError as error:
+        findings = failed_config(error)
     if as_json:
         emit_json(
             [{"verdict": f.verdict.value, "what": f.what, "found": f.found, "remedy": f.remedy} for f in findings]
@@ -71,31 +74,3 @@ def doctor(
         context.exit(EXIT_FAILED)
     if "warn" in verdicts:
         context.exit(EXIT_LOSS)
-
-
-def _examined(
-    config: str,
-    given: dict[str, object],
-    param: tuple[str, ...],
-    *,
-    instance: int,
-    seconds: float,
-    measure_neutral: bool,
-) -> "list[Finding]":
-    """Findings on the vehicle, or about its configuration."""
-    from autopilot.analysis.nmpc_flight import FlightTrials
-    from autopilot.core.errors import AutopilotError
-    from autopilot.run.config import gather, parse_overrides, vehicle_defaults
-    from autopilot.run.doctor import examine, failed_config
-    from autopilot.run.neutral_time import measure
-    from autopilot.run.vehicle_config import load_config
-
-    overrides = parse_overrides(param)
-    try:
-        loaded = load_config(config)
-        file = loaded.file.service.given(loaded.path.parent)
-        settings = gather(vehicle_defaults(instance), given, file=file, file_name=loaded.path.name)
-        findings = examine(loaded, settings, seconds, overrides, instance=instance, flying=FlightTrials())
-        return [*findings, measure(loaded)] if measure_neutral else findings
-    except AutopilotError as error:
-        return failed_config(error)

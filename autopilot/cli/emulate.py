@@ -1,4 +1,5 @@
-"""``autopilot emulate``: a flight controller with a simulated vehicle, to try ``autopilot run`` on."""
+"""``autopilot emulate`` and ``physics``: a flight controller with a simulated vehicle, to try ``autopilot run`` on, and
+the water and the hull under ArduPilot's own simulation."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -6,7 +7,7 @@ import click
 
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.service_run import StopSignals
-from autopilot.cli.shared_options import simulated_ardusub
+from autopilot.cli.shared_options import JSON, host_and_port, simulated_ardusub
 
 if TYPE_CHECKING:
     from autopilot.sitl.camera_process import CameraPlace
@@ -38,7 +39,7 @@ def emulate(link: tuple[str, ...], pose: tuple[str, ...], camera: "CameraPlace |
     stop = StopSignals()
     from msgspec import structs
 
-    from autopilot.run.sitl_emulated import emulate as run
+    from autopilot.run.sitl_physics import emulate as run
 
     if not pose and camera is None:
         pose = (TRACKED,)
@@ -51,3 +52,42 @@ def emulate(link: tuple[str, ...], pose: tuple[str, ...], camera: "CameraPlace |
         **given,
     )
     emit_json(structs.asdict(flight))
+
+
+@click.command()
+@simulated_ardusub
+@click.option(
+    "--listen",
+    default="127.0.0.1:9002",
+    callback=host_and_port,
+    show_default=True,
+    metavar="HOST:PORT",
+    help="For ArduPilot.",
+)
+@click.option("--pose", multiple=True, help="Where a tracking system sends the vehicle's pose; repeatable.")
+@JSON
+def physics(scenario: str, listen: tuple[str, int], as_json: bool, **given: Any) -> None:
+    """Be the hull, the thrusters and the water of SCENARIO for ArduSub's simulation (--model JSON).
+
+    ArduSub flies, and its MAVLink is on its own ports; at the end this prints what has become of the vehicle.
+    """
+    stop = StopSignals()
+    import msgspec
+
+    from autopilot.run.sitl_physics import home_of, serve_physics
+    from autopilot.sitl.scenario import load_scenario
+
+    if not as_json:
+        click.echo(f"ardusub --model JSON:{listen[0]} --home {home_of(load_scenario(scenario))}")
+    flight = serve_physics(
+        listen,
+        scenario=scenario,
+        stop=lambda: bool(stop),
+        tell=lambda text: click.echo(text, err=True),
+        **given,
+    )
+    if as_json:
+        emit_json(msgspec.to_builtins(flight))
+    else:
+        for name, value in msgspec.to_builtins(flight).items():
+            click.echo(f"{name}: {value}")

@@ -9,13 +9,10 @@ import click
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.log_compare import compare
 from autopilot.cli.log_replay import replay
-from autopilot.cli.log_tlog import tlog
-from autopilot.cli.log_tools import diff, export, find, recover
-from autopilot.cli.log_view import view
+from autopilot.cli.log_tools import diff, export, find, recover, tlog, view
 from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER, not_over
 
 if TYPE_CHECKING:
-    from autopilot.control.nmpc.unsolved import Trial
     from autopilot.log.check import BoundRow
     from autopilot.log.reader import Log
 
@@ -134,7 +131,10 @@ def programs(log_file: Path, as_json: bool) -> None:
             "t_s": program.t_us * 1e-6,
             "solver": program.solver,
             "status": program.status.name,
-            "again": [_as_json(trial) for trial in trials[name]],
+            "again": [
+                {**asdict(trial), "status": None if trial.status is None else trial.status.name}
+                for trial in trials[name]
+            ],
         }
         for name, program in found.items()
     ]
@@ -164,10 +164,6 @@ def programs(log_file: Path, as_json: bool) -> None:
     if found:
         raise click.exceptions.Exit(EXIT_FAILED)
     _tell_loss(opened, "looked at")
-
-
-def _as_json(trial: "Trial") -> dict[str, Any]:
-    return {**asdict(trial), "status": None if trial.status is None else trial.status.name}
 
 
 def _tell_loss(opened: "Log", done: str = "drawn") -> None:

@@ -1,17 +1,26 @@
-"""``autopilot log export|diff|recover|find``: operations on whole logs."""
+"""``autopilot log export|diff|recover|find|tlog|view``: operations on whole logs."""
 
+import time
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from autopilot.cli.click_types import OneOf
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
-from autopilot.cli.shared_options import JSON_NOT_TABLES
-from autopilot.core.errors import LogError
+from autopilot.cli.shared_options import JSON, JSON_NOT_TABLES, LOG_FILE
+from autopilot.core.errors import AutopilotError, LogError
+from autopilot.run.config import MAX_PORT
+
+if TYPE_CHECKING:
+    from autopilot.core.vehicle import Vehicle
+    from autopilot.log.reader import Log
 
 _LOG = click.Path(path_type=Path)
+DEFAULT_VEHICLE = "lbv150"
+POLL_S = 0.2
 
 
 @click.command()
@@ -153,3 +162,93 @@ def _pair(text: str) -> tuple[str, str]:
     if not equals or not key:
         raise LogError(f"--where {text!r}: write KEY=VALUE, e.g. scenario=paper-tank")
     return key, value
+
+
+@click.command()
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@JSON
+def tlog(file: Path, as_json: bool) -> None:
+    """Attitude in a .tlog of any MAVLink vehicle: rate, gaps and their causes, and what the AHRS intake makes of it.
+
+    Exit codes: 0 every gap is explained by what the file shows, 1 not.
+    """
+    from autopilot.replay.tlog import replay_tlog
+
+    found = replay_tlog(file)
+    if as_json:
+        emit_json({**asdict(found), "unexplained": len(found.unexplained)})
+    else:
+        rate = 1.0 / found.median_s if found.median_s else 0.0
+        click.echo(
+            f"{found.attitudes} attitudes in {found.duration_s:.1f} s, {rate:.1f} Hz;"
+            f" {sum(found.damaged.values())} damaged pieces"
+        )
+        for piece, count in found.damaged.items():
+            click.echo(f"  {count} x {piece}")
+        copies = Counter(gap.reason(found.median_s) for gap in found.gaps if gap.sender_s == 0.0)
+        for reason, count in copies.items():
+            click.echo(f"  {count} x {reason}")
+        rows = [
+            [
+                f"{gap.at_s:.2f}",
+                f"{gap.arrival_s:.3f}",
+                f"{gap.sender_s:.3f}",
+                gap.reason(found.median_s) or "not explained",
+            ]
+            for gap in found.gaps
+            if gap.sender_s != 0.0
+        ]
+        if rows:
+            print_table("Gaps between attitudes", ["at s", "arrival s", "sender's clock s", "cause"], rows)
+        click.echo(", ".join(f"{name} {count}" for name, count in found.counters.items()))
+    if found.unexplained:
+        raise click.exceptions.Exit(EXIT_FAILED)
+
+
+@click.command()
+@LOG_FILE
+@click.option(
+    "--port",
+    type=click.IntRange(0, MAX_PORT),
+    help="Port on 127.0.0.1, 0 = any (default: 8760, or the next that is free).",
+)
+def view(log_file: Path, port: int | None) -> None:
+    """Play LOG in the page of the live view, on 127.0.0.1, until Ctrl-C."""
+    from autopilot.cli.service_run import StopSignals
+    from autopilot.log.reader import open_log
+    from autopilot.run.sitl_world_view import logged_world
+    from autopilot.view.http_server import ViewServer
+    from autopilot.view.log_frames import LogFrames
+
+    opened = open_log(log_file)
+    world, unknown = logged_world(opened)
+    if unknown:
+        click.echo(f"warning: {log_file}: {unknown}; obstacles are shown as described, without the current", err=True)
+    frames = LogFrames(opened, _vehicle(opened), world)
+    if opened.problems:
+        click.echo(f"warning: {log_file}: {'; '.join(opened.problems)}; only what is readable is shown", err=True)
+    server = ViewServer(port, frames, "--port")
+    stop = StopSignals()
+    click.echo(f"view: {server.url}")
+    try:
+        while not stop:
+            time.sleep(POLL_S)
+    finally:
+        server.close()
+
+
+def _vehicle(log: "Log") -> "Vehicle":
+    """The vehicle file of the run; of a log without it the shipped one of that name, else the default."""
+    from autopilot.core.vehicle import load_vehicle
+    from autopilot.record.estimator_setup import read_vehicle
+
+    try:
+        return read_vehicle(log)
+    except AutopilotError as error:
+        name = log.run.get("vehicle", "")
+        try:
+            vehicle = load_vehicle(name or DEFAULT_VEHICLE)
+        except AutopilotError:
+            name, vehicle = DEFAULT_VEHICLE, load_vehicle(DEFAULT_VEHICLE)
+        click.echo(f"warning: {error}; drawn as {name or DEFAULT_VEHICLE}", err=True)
+        return vehicle

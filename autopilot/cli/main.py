@@ -26,7 +26,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
     "failsafes": (
-        "autopilot.cli.failsafes_command:failsafes",
+        "autopilot.cli.params_command:failsafes",
         "The table of failsafes: conditions, parameters, effects.",
     ),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
@@ -36,7 +36,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
     "params": ("autopilot.cli.params_command:params", "List, explain and compare parameters."),
-    "physics": ("autopilot.cli.physics:physics", "Be the water and the hull under ArduPilot's own simulation."),
+    "physics": ("autopilot.cli.emulate:physics", "Be the water and the hull under ArduPilot's own simulation."),
     "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
     "scenario": (
         "autopilot.cli.scenario_command:scenario",

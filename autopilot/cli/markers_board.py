@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.click_types import Finite, FiniteRange
-from autopilot.cli.console_output import EXIT_LOSS
+from autopilot.cli.console_output import warn
 
 if TYPE_CHECKING:
     from autopilot.core.markers import MarkerMap
@@ -79,11 +79,7 @@ def board(file: str | None, **options: Any) -> None:
     write_result(folder / "map.toml", marker_file_text(on_sheets(plane, paper), notes))
     click.echo(f"{folder}: {len(layout.ids)} markers on {len(pages)} sheets (board.pdf, sheet-NNN.svg), map.toml")
     click.echo("print at 100 % and measure the scale bar")
-    warnings = map_warnings(layout)
-    for text in warnings:
-        click.echo(f"warning: {text}", err=True)
-    if warnings:
-        raise click.exceptions.Exit(EXIT_LOSS)
+    warn(map_warnings(layout))
 
 
 def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.completion import VEHICLE_NAME
-from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import emit_json, print_table, warn
 from autopilot.cli.markers_board import board
 from autopilot.cli.markers_survey import survey
 from autopilot.cli.shared_options import JSON, not_over
@@ -49,10 +49,7 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
                 ("camera height m", "one or more", "two or more"),
                 [(f"{h:g}", f"{100.0 * one:.0f} %", f"{100.0 * two:.0f} %") for h, one, two in fractions],
             )
-    for text in warnings:
-        click.echo(f"warning: {text}", err=True)
-    if warnings:
-        raise click.exceptions.Exit(EXIT_LOSS)
+    warn(warnings)
 
 
 @markers.command()

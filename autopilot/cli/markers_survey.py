@@ -8,7 +8,7 @@ import click
 
 from autopilot.cli.click_types import Finite, FiniteRange
 from autopilot.cli.completion import VEHICLE_NAME
-from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import emit_json, print_table, warn
 from autopilot.cli.markers_board import MARKER_SIZE
 from autopilot.cli.shared_options import JSON, not_over
 
@@ -99,11 +99,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
         emit_json(_survey_json(result))
     else:
         _print_survey(result, options["out"])
-    warnings = _survey_warnings(result, known=options["rough"] is not None)
-    for text in warnings:
-        click.echo(f"warning: {text}", err=True)
-    if warnings:
-        raise click.exceptions.Exit(EXIT_LOSS)
+    warn(_survey_warnings(result, known=options["rough"] is not None))
 
 
 def _rough_map(**options: Any) -> "MarkerMap":
@@ -278,19 +274,12 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
 def _survey_json(result: "Survey") -> dict[str, Any]:
     from dataclasses import asdict
 
+    same = (
+        *("views", "left_out_views", "unseen", "sights", "disbelieved", "sigma_px", "shrink_px", "converged"),
+        *("repeated", "misread", "scaled", "scale"),
+    )
     return {
         "markers": [asdict(row) for row in result.rows],
-        "views": result.views,
-        "left_out_views": result.left_out_views,
-        "unseen": result.unseen,
         "dropped": [asdict(marker) for marker in result.dropped],
-        "sights": result.sights,
-        "disbelieved": result.disbelieved,
-        "sigma_px": result.sigma_px,
-        "shrink_px": result.shrink_px,
-        "converged": result.converged,
-        "repeated": result.repeated,
-        "misread": result.misread,
-        "scaled": result.scaled,
-        "scale": result.scale,
+        **{name: getattr(result, name) for name in same},
     }

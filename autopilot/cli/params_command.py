@@ -1,5 +1,7 @@
-"""``autopilot params``: the parameter table without a vehicle."""
+"""``autopilot params`` and ``failsafes``: the tables of parameters and failsafes without a vehicle."""
 
+import re
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -21,20 +23,8 @@ def list_(as_json: bool) -> None:
 
     rows = sorted(PARAMETERS, key=lambda spec: spec.name)
     if as_json:
-        emit_json(
-            [
-                {
-                    "name": spec.name,
-                    "default": spec.default,
-                    "minimum": spec.minimum,
-                    "maximum": spec.maximum,
-                    "unit": spec.unit,
-                    "type": spec.type.value,
-                    "help": spec.help,
-                }
-                for spec in rows
-            ]
-        )
+        same = ("name", "default", "minimum", "maximum", "unit", "help")
+        emit_json([{"type": spec.type.value, **{name: getattr(spec, name) for name in same}} for spec in rows])
         return
     print_table(
         "Parameters",
@@ -93,3 +83,28 @@ def defaults(file: Path) -> None:
 
     write_param_file(file, ParamSet())
     click.echo(f"{file}: {len(ParamSet())} parameters")
+
+
+@click.command()
+@JSON
+@click.option("--markdown", is_flag=True, help="As a Markdown table.")
+@click.option("--write", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Bring a page up to date.")
+def failsafes(as_json: bool, markdown: bool, write: Path | None) -> None:
+    """All failsafes: when they begin and end, what they do (with the default), what they say."""
+    from autopilot.command.failsafe_docs import failsafe_markdown, failsafe_texts, with_table
+
+    if write is not None:
+        write.write_text(with_table(write.read_text(encoding="utf-8")), encoding="utf-8")
+    elif as_json:
+        emit_json([asdict(text) for text in failsafe_texts()])
+    elif markdown:
+        click.echo(failsafe_markdown(), nl=False)
+    else:
+        columns = ("bit", "failsafe", "begins when", "ends", "action", "message")
+        rows = [tuple(asdict(text).values()) for text in failsafe_texts()]
+        print_table("Failsafes", columns, [[_plain(str(cell)) for cell in row] for row in rows])
+
+
+def _plain(cell: str) -> str:
+    """Without the marks of Markdown."""
+    return re.sub(r"\*\*(.+?)\*\*", r"\1 (default)", cell.replace("`", ""))

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -10,8 +11,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from autopilot.run.process_start import process_start_s
-
 if TYPE_CHECKING:
     from autopilot.run.boot_links import BootLinks
     from autopilot.run.session import Session, SessionOptions
@@ -19,6 +18,21 @@ if TYPE_CHECKING:
     from autopilot.view.hub import Hub
 
 S = TypeVar("S", bound="Session")
+_START_FIELD = 22 - 3
+"""starttime in /proc/self/stat (proc_pid_stat(5), counted from 1), behind the name, which is the second of the fields
+and may have blanks in it."""
+
+
+def process_start_s() -> float:
+    """Start of this process as Unix time; the present time if the system does not provide it."""
+    now_s = time.time()
+    try:
+        with open("/proc/self/stat", encoding="ascii", errors="replace") as stream:
+            fields = stream.read().rpartition(")")[2].split()
+        began_s = int(fields[_START_FIELD]) / os.sysconf("SC_CLK_TCK")
+        return now_s - max(0.0, time.clock_gettime(time.CLOCK_BOOTTIME) - began_s)
+    except (OSError, ValueError, IndexError, AttributeError):
+        return now_s
 
 
 class StopSignals:

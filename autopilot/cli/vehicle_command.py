@@ -1,6 +1,6 @@
 """``autopilot vehicle``: describe a vehicle file, write a template, list the shipped ones."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,26 +15,16 @@ if TYPE_CHECKING:
     from autopilot.core.vehicle_summary import VehicleSummary
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Row:
-    name: str
-    channel: int
-    position: str
-    direction: str
-    limit_n: float
-    drive: str
-
-
-def _rows(known: "Vehicle") -> list[_Row]:
+def _rows(known: "Vehicle") -> list[dict[str, object]]:
     return [
-        _Row(
-            name=thruster.name,
-            channel=thruster.channel,
-            position=", ".join(f"{value:g}" for value in thruster.position_frd_m),
-            direction=", ".join(f"{value:.3g}" for value in thruster.direction_frd),
-            limit_n=thruster.limit_n,
-            drive=thruster.drive.kind + (" (reversed)" if thruster.reversed else ""),
-        )
+        {
+            "name": thruster.name,
+            "channel": thruster.channel,
+            "position": ", ".join(f"{value:g}" for value in thruster.position_frd_m),
+            "direction": ", ".join(f"{value:.3g}" for value in thruster.direction_frd),
+            "limit_n": thruster.limit_n,
+            "drive": thruster.drive.kind + (" (reversed)" if thruster.reversed else ""),
+        }
         for thruster in known.thrusters
     ]
 
@@ -58,7 +48,7 @@ def check(file: str, as_json: bool) -> None:
     known = load_vehicle(file)
     facts = facts_of(known)
     if as_json:
-        emit_json({"name": known.name, "thrusters": [asdict(each) for each in _rows(known)], **asdict(facts)})
+        emit_json({"name": known.name, "thrusters": _rows(known), **asdict(facts)})
     else:
         _print(known, facts)
     if facts.contradictions:
@@ -71,7 +61,7 @@ def _print(known: "Vehicle", facts: "VehicleSummary") -> None:
     print_table(
         f"{known.name}: {known.description}",
         ("thruster", "channel", "position [m]", "pushes", "limit [N]", "drive"),
-        [(row.name, row.channel, row.position, row.direction, f"{row.limit_n:g}", row.drive) for row in _rows(known)],
+        [[f"{cell:g}" if isinstance(cell, float) else cell for cell in row.values()] for row in _rows(known)],
     )
     print_table(
         "Axes",

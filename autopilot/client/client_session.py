@@ -13,10 +13,9 @@ from typing import Self
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.client_links import ClientLink, open_link
-from autopilot.client.command_client import CommandSend
+from autopilot.client.command_client import CommandSend, Question, message_question, parameter_question
 from autopilot.client.exchange import Exchange, ExchangeResult, Message, Timers, VehicleAddress
 from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
-from autopilot.client.question import Question, message_question, parameter_question
 from autopilot.client.texts import TextCollector, VehicleText
 from autopilot.core.errors import AutopilotError, DriverError, PlanError
 from autopilot.core.messages import ProgressState

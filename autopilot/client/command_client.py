@@ -1,13 +1,15 @@
-"""Command protocol, client side (https://mavlink.io/en/services/command.html)."""
+"""Command protocol, client side (https://mavlink.io/en/services/command.html), and questions that the vehicle
+answers by one message: a parameter, or a message on request."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.exchange import BaseExchange, ExchangeResult, Message, Timers, VehicleAddress
+from autopilot.client.exchange import Exchange, ExchangeResult, Message, Timers, VehicleAddress
 
 
-class CommandSend(BaseExchange):
+class CommandSend(Exchange):
     """One COMMAND_LONG, retransmitted until its final COMMAND_ACK; IN_PROGRESS stops the retransmission."""
 
     def __init__(
@@ -17,10 +19,10 @@ class CommandSend(BaseExchange):
         target: VehicleAddress | None = None,
         timers: Timers | None = None,
     ) -> None:
-        super().__init__(target or VehicleAddress(), timers or Timers(), f"command {command}")
+        super().__init__(f"command {command}", target, timers)
         self._command = command
         self._params = (*params, *(0.0,) * (7 - len(params)))
-        self._confirmation = 0
+        self._confirmation = -1
         self._percent = 0
         self._running = False
 
@@ -28,10 +30,6 @@ class CommandSend(BaseExchange):
     def progress(self) -> tuple[int, int]:
         """Per cent done, and 100."""
         return self._percent, 100
-
-    def begin(self, t_s: float) -> list[Message]:
-        self._start(t_s)
-        return [self._message()]
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         if not self._listens(message, t_s):
@@ -47,16 +45,77 @@ class CommandSend(BaseExchange):
                 self._refuse(message.result, t_s)
         return []
 
-    def tick(self, t_s: float) -> list[Message]:
-        """Retransmit with an incremented confirmation number, unless the vehicle has answered IN_PROGRESS."""
-        if self._waits(t_s) or self._running or t_s - self._sent_s < self._timers.general_s:
-            return []
-        self._sent_s = t_s
-        self._confirmation = min(self._confirmation + 1, 255)
-        return [self._message()]
+    @property
+    def _repeat_s(self) -> float:
+        return math.inf if self._running else self._timers.general_s
 
-    def _message(self) -> Message:
+    def _due(self) -> Message:
+        """With an incremented confirmation number each time that it is sent."""
+        self._confirmation = min(self._confirmation + 1, 255)
         target = self._target
         return mav.MAVLink_command_long_message(
             target.system, target.component, self._command, self._confirmation, *self._params
         )
+
+
+class Question(Exchange):
+    """Sends ``question`` again until a message for which ``answers`` is true arrives, or a refusal."""
+
+    def __init__(
+        self,
+        question: Message,
+        answers: Callable[[Message], bool],
+        what: str,
+        target: VehicleAddress,
+        timers: Timers | None = None,
+    ) -> None:
+        super().__init__(what, target, timers)
+        self._question, self._answers = question, answers
+        self.answer: Message | None = None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Answers, and 1."""
+        return int(self.answer is not None), 1
+
+    def _due(self) -> Message:
+        return self._question
+
+    def handle(self, message: Message, t_s: float) -> list[Message]:
+        if not self._listens(message, t_s):
+            return []
+        if self._answers(message):
+            self.answer = message
+            self.outcome = ExchangeResult(result=0, reason="")
+        elif (
+            message.get_type() == "COMMAND_ACK"
+            and message.command == getattr(self._question, "command", None)
+            # "Not yet" is asked again.
+            and message.result not in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_TEMPORARILY_REJECTED)
+        ):
+            self._refuse(message.result, t_s)
+        return []
+
+
+def parameter_question(name: str, target: VehicleAddress, timers: Timers | None = None) -> Question:
+    """PARAM_REQUEST_READ by name; the answer is its PARAM_VALUE."""
+    return Question(
+        mav.MAVLink_param_request_read_message(target.system, target.component, name.encode("ascii"), -1),
+        lambda message: message.get_type() == "PARAM_VALUE" and message.param_id == name,
+        f"parameter {name}",
+        target,
+        timers,
+    )
+
+
+def message_question(message_id: int, target: VehicleAddress, timers: Timers | None = None) -> Question:
+    """MAV_CMD_REQUEST_MESSAGE; the answer is that message."""
+    return Question(
+        mav.MAVLink_command_long_message(
+            target.system, target.component, mav.MAV_CMD_REQUEST_MESSAGE, 0, float(message_id), *(0.0,) * 6
+        ),
+        lambda message: message.get_msgId() == message_id,
+        mav.mavlink_map[message_id].msgname,
+        target,
+        timers,
+    )

@@ -7,7 +7,7 @@ until it is answered or the vehicle has been silent for :attr:`Timers.give_up_s`
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from autopilot.client.texts import WARNING, TextCollector, VehicleText
 
@@ -47,47 +47,51 @@ class ExchangeResult:
         return self.result == 0
 
 
-class Exchange(Protocol):
+class Exchange:
     """State machine of one exchange, run by :class:`autopilot.client.client_session.VehicleConnection`.
 
-    Times ``t_s`` are seconds of the caller's monotonic clock.
+    Timeout, refusals and their reasons are common to all. Times ``t_s`` are seconds of the caller's monotonic clock.
     """
 
-    outcome: ExchangeResult | None
-
-    @property
-    def progress(self) -> tuple[int, int]:
-        """Items done and items in all."""
-        ...
-
-    def begin(self, t_s: float) -> list[Message]: ...
-
-    def handle(self, message: Message, t_s: float) -> list[Message]:
-        """Messages to send in answer to a message of the vehicle."""
-        ...
-
-    def tick(self, t_s: float) -> list[Message]:
-        """Messages to retransmit now."""
-        ...
-
-    def grant(self, held_up_s: float) -> None:
-        """Extend the timeout by the time in which the vehicle made no progress [s]."""
-        ...
-
-
-class BaseExchange:
-    """Timeout, refusals and their reasons: common to all exchanges."""
-
-    def __init__(self, target: VehicleAddress, timers: Timers, what: str) -> None:
+    def __init__(self, what: str, target: VehicleAddress | None, timers: Timers | None) -> None:
         self.outcome: ExchangeResult | None = None
-        self._target = target
-        self._timers = timers
         self._what = what
+        self._target = target or VehicleAddress()
+        self._timers = timers or Timers()
         self._received_s = 0.0
         self._sent_s = 0.0
         self._texts = TextCollector()
         self._complaints: list[VehicleText] = []
         self._refused: tuple[int, float] | None = None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items done and items in all."""
+        raise NotImplementedError
+
+    def _due(self) -> Message:
+        """The message that the vehicle has to answer next."""
+        raise NotImplementedError
+
+    @property
+    def _repeat_s(self) -> float:
+        """After so long without an answer it is sent again."""
+        return self._timers.general_s
+
+    def begin(self, t_s: float) -> list[Message]:
+        self._received_s = self._sent_s = t_s
+        return [self._due()]
+
+    def handle(self, message: Message, t_s: float) -> list[Message]:
+        """Messages to send in answer to a message of the vehicle."""
+        raise NotImplementedError
+
+    def tick(self, t_s: float) -> list[Message]:
+        """Messages to retransmit now."""
+        if self._waits(t_s) or t_s - self._sent_s < self._repeat_s:
+            return []
+        self._sent_s = t_s
+        return [self._due()]
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -98,9 +102,6 @@ class BaseExchange:
     def hears_half_a_text(self) -> bool:
         """Whether chunks of a text are still missing."""
         return self._texts.waiting
-
-    def _start(self, t_s: float) -> None:
-        self._received_s = self._sent_s = t_s
 
     def grant(self, held_up_s: float) -> None:
         """Extend the timeout by the time in which the vehicle made no progress [s]."""

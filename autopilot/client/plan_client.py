@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.exchange import BaseExchange, ExchangeResult, Message, Timers, VehicleAddress
+from autopilot.client.exchange import Exchange, ExchangeResult, Message, Timers, VehicleAddress
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message, item_of
 
@@ -20,7 +20,7 @@ _BROKEN_OFF = frozenset({MissionResult.ERROR, MissionResult.INVALID_SEQUENCE, Mi
 """Results after a late copy of an earlier datagram has disturbed the transfer."""
 
 
-class PlanUpload(BaseExchange):
+class PlanUpload(Exchange):
     """Replace one plan of the vehicle. The vehicle requests the items and ends with MISSION_ACK.
 
     Parameters
@@ -42,7 +42,7 @@ class PlanUpload(BaseExchange):
         target: VehicleAddress | None = None,
         timers: Timers | None = None,
     ) -> None:
-        super().__init__(target or VehicleAddress(), timers or Timers(), f"{kind.name.lower()} upload")
+        super().__init__(f"{kind.name.lower()} upload", target, timers)
         self._kind = kind
         self._items = tuple(items)
         self._last_sent: int | None = None
@@ -59,10 +59,6 @@ class PlanUpload(BaseExchange):
         """Whether the vehicle has requested every item; only its MISSION_ACK is missing."""
         return self._highest == len(self._items) - 1
 
-    def begin(self, t_s: float) -> list[Message]:
-        self._start(t_s)
-        return [self._count()]
-
     def handle(self, message: Message, t_s: float) -> list[Message]:
         if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
             return []
@@ -71,7 +67,7 @@ class PlanUpload(BaseExchange):
             self._received_s = self._sent_s = t_s
             self._last_sent = message.seq
             self._highest = max(self._highest, message.seq)
-            return [self._item(message.seq)]
+            return [self._due()]
         if kind == "MISSION_ACK":
             self._received_s = t_s
             return self._on_ack(message.type, t_s)
@@ -86,28 +82,20 @@ class PlanUpload(BaseExchange):
         if result in _BROKEN_OFF and self._restarts < MAX_RESTARTS:
             self._restarts += 1
             self._last_sent, self._highest, self._sent_s = None, -1, t_s
-            return [self._count()]
+            return [self._due()]
         self._refuse(result, t_s)
         return []
 
-    def tick(self, t_s: float) -> list[Message]:
+    def _due(self) -> Message:
         """MISSION_COUNT until the vehicle requests an item, then the last item sent until the next request."""
-        if self._waits(t_s) or t_s - self._sent_s < self._timers.general_s:
-            return []
-        self._sent_s = t_s
-        return [self._count() if self._last_sent is None else self._item(self._last_sent)]
-
-    def _count(self) -> Message:
-        target = self._target
-        return mav.MAVLink_mission_count_message(target.system, target.component, len(self._items), int(self._kind))
-
-    def _item(self, seq: int) -> Message:
-        item, target = self._items[seq], self._target
-        current = seq == 0 and self._kind is PlanKind.MISSION
-        return item_message(item, self._kind, system=target.system, component=target.component, current=current)
+        seq, target, kind = self._last_sent, self._target, self._kind
+        if seq is None:
+            return mav.MAVLink_mission_count_message(target.system, target.component, len(self._items), int(kind))
+        item, current = self._items[seq], seq == 0 and kind is PlanKind.MISSION
+        return item_message(item, kind, system=target.system, component=target.component, current=current)
 
 
-class PlanDownload(BaseExchange):
+class PlanDownload(Exchange):
     """Read one plan of the vehicle: requests one item after the other and ends with MISSION_ACK.
 
     Parameters
@@ -121,7 +109,7 @@ class PlanDownload(BaseExchange):
     """
 
     def __init__(self, kind: PlanKind, target: VehicleAddress | None = None, timers: Timers | None = None) -> None:
-        super().__init__(target or VehicleAddress(), timers or Timers(), f"{kind.name.lower()} download")
+        super().__init__(f"{kind.name.lower()} download", target, timers)
         self._kind = kind
         self._count: int | None = None
         self._items: list[PlanItem] = []
@@ -135,10 +123,6 @@ class PlanDownload(BaseExchange):
     def items(self) -> tuple[PlanItem, ...]:
         """The plan, complete when the outcome is accepted."""
         return tuple(self._items)
-
-    def begin(self, t_s: float) -> list[Message]:
-        self._start(t_s)
-        return [self._request()]
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
@@ -155,19 +139,16 @@ class PlanDownload(BaseExchange):
             return []
         self._received_s = self._sent_s = t_s
         if len(self._items) < (self._count or 0):
-            return [self._request()]
+            return [self._due()]
         self.outcome = ExchangeResult(result=0, reason="")
         target = self._target
         return [mav.MAVLink_mission_ack_message(target.system, target.component, 0, int(self._kind))]
 
-    def tick(self, t_s: float) -> list[Message]:
-        wait_s = self._timers.general_s if self._count is None else self._timers.item_s
-        if self._waits(t_s) or t_s - self._sent_s < wait_s:
-            return []
-        self._sent_s = t_s
-        return [self._request()]
+    @property
+    def _repeat_s(self) -> float:
+        return self._timers.general_s if self._count is None else self._timers.item_s
 
-    def _request(self) -> Message:
+    def _due(self) -> Message:
         target, kind = self._target, int(self._kind)
         if self._count is None:
             return mav.MAVLink_mission_request_list_message(target.system, target.component, kind)

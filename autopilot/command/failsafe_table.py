@@ -62,7 +62,8 @@ class FailsafeRow:
     """For people; parameters by name."""
     level: Level
     """Input, once per tick; makes no text."""
-    enter: Bound
+    enter: Bound = 1.0
+    """Bound of the level; of one that is no quantity, 1 where it holds."""
     gap: float = 0.0
     """Hysteresis: cleared when the quantity is back by this."""
     below: bool = False
@@ -102,7 +103,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.NAV_LOST,
         condition="no valid estimate for `FS_NAV_TIMEOUT`, once known or armed",
         level=lambda v, f: f.nav_lost,
-        enter=1.0,
         enter_s="FS_NAV_TIMEOUT",
         action="FS_NAV_ACT",
         effects=("warn", "disarm", "surface", "drop", "hand back"),
@@ -141,7 +141,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.THRUSTER,
         condition="the working thrusters cannot hold depth, heading or place, or commands do not reach them, for 3 s",
         level=lambda v, f: 1.0 if v.thruster_problem else 0.0,
-        enter=1.0,
         enter_s=3.0,
         action="FS_THR_ACT",
         text="{thruster_problem}",
@@ -159,7 +158,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.NAV_CHECK,
         condition="the two estimators disagree about the position",
         level=lambda v, f: v.nav_disagrees,
-        enter=1.0,
         effects=("warn",),
         text="estimators disagree",
     ),
@@ -167,7 +165,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.FAULT,
         condition="internal fault within the last 5 s ([reliability.md](reliability.md))",
         level=lambda v, f: 1.0 if v.fault else 0.0,
-        enter=1.0,
         effects=("warn",),
         text="{fault}",
         arming="{fault}: see the log, restart the service",
@@ -218,7 +215,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.DOUBT,
         condition="fixes, range, map or calibration contradict each other for 1 s ([estimation.md](estimation.md))",
         level=lambda v, f: 0.0 if v.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
-        enter=1.0,
         enter_s=1.0,
         leave_s=1.0,
         action="FS_DOUBT_ACT",
@@ -252,7 +248,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.LEAK,
         condition=f"leak probe wet within the last {VEHICLE_STATUS.latched_us // 10**6} s",
         level=lambda v, f: v.wet_us + VEHICLE_STATUS.latched_us >= v.t_us,
-        enter=1.0,
         action="FS_LEAK_ENABLE",
         effects=("off", "warn", "surface", "drop"),
         text="water in the hull",
@@ -324,7 +319,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         condition="acceleration peak above `FS_COLL_ACC` that thrust does not explain; "
         f"shown for {VEHICLE_STATUS.shown_us // 10**6} s",
         level=lambda v, f: v.collided_us + VEHICLE_STATUS.shown_us >= v.t_us,
-        enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
         text="collision detected: check the {struck}",
@@ -367,7 +361,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.LOG,
         condition="log not written: disk full, missing or read-only",
         level=lambda v, f: v.log_lost,
-        enter=1.0,
         action="FS_LOG_ACT",
         severity=Severity.WARNING,
         text="not logging: free disk space",
@@ -377,7 +370,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.CLOCK,
         condition=f"clock of day jumped by 0.5 s or more; shown for {VEHICLE_STATUS.shown_us // 10**6} s",
         level=lambda v, f: v.jumped_us + VEHICLE_STATUS.shown_us >= v.t_us,
-        enter=1.0,
         action="FS_CLOCK_ACT",
         severity=Severity.WARNING,
         text="clock jumped: check time source",
@@ -395,7 +387,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.WATCHDOG,
         condition="thruster watchdog process missing or hanging for 3 s ([reliability.md](reliability.md))",
         level=lambda v, f: 1.0 if v.watchdog_problem else 0.0,
-        enter=1.0,
         enter_s=3.0,
         action="FS_WDOG_ACT",
         text="thruster watchdog {watchdog_problem}: surface",
@@ -405,7 +396,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.CAMERA,
         condition="images jump, or contradict gyro and vehicle model ([estimation.md](estimation.md))",
         level=lambda v, f: 1.0 if NavDoubt.CAMERA in v.nav_doubts else 0.0,
-        enter=1.0,
         leave_s=1.0,
         action="FS_CAM_ACT",
         text="{rejected}",
@@ -415,7 +405,6 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.SENDER,
         condition="the flight controller's outputs show another sender's commands, within 15 reports (0.3 s)",
         level=lambda v, f: _NAN if v.below is None else float(v.below.rival),
-        enter=1.0,
         action="FS_SENDER_ACT",
         text="another sender on the thrusters: stop it",
         flying=True,

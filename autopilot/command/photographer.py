@@ -18,8 +18,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Inputs, NavHealth, NavState
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
-from autopilot.mavlink.camera_api import CameraIdentity, CameraState
+from autopilot.mavlink.api import ACCEPTED, CameraIdentity, CameraState, CommandReply, CommandResult
 
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """(3, 3) rotation from the FRD axes of a body that faces along the optical axis to OpenCV's (x right, y down, z

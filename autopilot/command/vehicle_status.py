@@ -4,11 +4,13 @@ One object, changed in place. Values that have never been received are NaN, whic
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
+from statistics import median_low
 
 from autopilot.command.command_tuning import VEHICLE_STATUS
-from autopilot.command.floor_ranges import FloorRanges
 from autopilot.control.thrust.by_hand import PositionlessState
+from autopilot.core.echoes import RecentEchoes
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import FlightControllerState, Inputs, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import (
@@ -30,6 +32,68 @@ NEVER = math.nan
 
 QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
 """Faults of a sensor without valid data."""
+FRESH_US = 1_000_000
+"""Age beyond which a range is invalid: the vehicle has moved."""
+
+READINGS = 5
+"""Length of the median filter: rejects fish and multipath echoes. Of an even number the nearer one counts."""
+
+SENSORS = ("altimeter", "laser")
+"""Order of preference among sensors with recent data: a sonar's wide beam sees the floor also through silt."""
+
+_NOWHERE = (math.nan, math.nan, math.nan)
+
+
+@dataclass(slots=True, eq=False)
+class _Ranges:
+    position_frd_m: tuple[float, float, float] = _NOWHERE
+    direction_frd: tuple[float, float, float] = _NOWHERE
+    readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
+    """Time and range, multiples left out."""
+    echoes: RecentEchoes = field(default_factory=RecentEchoes)
+
+
+class FloorRanges:
+    """Altitude above the floor by the newest ranges of each downward sensor."""
+
+    def __init__(self) -> None:
+        self._ranges = {name: _Ranges() for name in SENSORS}
+
+    def mount(
+        self, name: str, position_frd_m: tuple[float, float, float], direction_frd: tuple[float, float, float]
+    ) -> None:
+        """Position and direction (any length) of a sensor in the body frame."""
+        x, y, z = direction_frd
+        length = math.hypot(x, y, z)
+        self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))
+
+    def note(self, name: str, t_us: int, range_m: float) -> None:
+        """One reading of a sensor, along its beam."""
+        ranges = self._ranges[name]
+        # A single one at half the range is a fish above the floor.
+        if math.isfinite(range_m) and range_m > 0.0 and ranges.echoes.add(t_us, range_m).at_half < 2:
+            ranges.readings.append((t_us, range_m))
+
+    def height_m(self, t_us: int, rpy_rad: FloatArray | None) -> float | None:
+        """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
+        for name in SENSORS:
+            ranges = self._ranges[name]
+            fresh = [range_m for then_us, range_m in ranges.readings if t_us - then_us <= FRESH_US]
+            if fresh:
+                below_m = median_low(fresh) * _below(rpy_rad, ranges.direction_frd)
+                height_m = below_m + _below(rpy_rad, ranges.position_frd_m)
+                return height_m if height_m > 0.0 else None
+        return None
+
+
+def _below(rpy_rad: FloatArray | None, frd: tuple[float, float, float]) -> float:
+    """The part of a vector that points down."""
+    forward, right, down = frd
+    if rpy_rad is None:
+        return down
+    roll, pitch, _ = rpy_rad.tolist()
+    sideways = right * math.sin(roll) + down * math.cos(roll)
+    return float(sideways * math.cos(pitch) - forward * math.sin(pitch))
 
 
 @dataclass(slots=True, eq=False)

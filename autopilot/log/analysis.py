@@ -29,22 +29,9 @@ MICROSECOND_S = 1e-6
 """Resolution of the service's clock: a span ends this long before the message that ends it."""
 
 TOPICS_OF_INTEREST = (
-    "/sim/truth",
-    "/sim/thrusters",
-    "/sim/contact",
-    "/nav/state",
-    "/nav/covariance",
-    "/nav/status",
-    "/ctl/nmpc",
-    "/ctl/goal",
-    "/out/thrusters",
-    "/mission/progress",
-    "/sys/mode",
-    "/sys/loop",
-    "/sys/process",
-    "/nav/fit",
-    "/ctl/drive",
-    "/in/power_raw",
+    *("/sim/truth", "/sim/thrusters", "/sim/contact", "/nav/state", "/nav/covariance", "/nav/status"),
+    *("/ctl/nmpc", "/ctl/goal", "/out/thrusters", "/mission/progress", "/sys/mode", "/sys/loop", "/sys/process"),
+    *("/nav/fit", "/ctl/drive", "/in/power_raw"),
 )
 """Read in one pass; what a log does not have is left out."""
 

@@ -4,6 +4,7 @@ The file is scanned record by record; bodies of chunks are only read on request.
 a damaged length) the chunk index at its end is used, if it is still there, or else the next whole chunk is sought.
 """
 
+import io
 import mmap
 import struct
 import zlib
@@ -15,7 +16,10 @@ from typing import IO
 
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
@@ -43,20 +47,6 @@ LARGEST_CHUNK = 1 << 30
 
 class Damage(Exception):
     """A part of the file is unusable; the text names it and the reason."""
-
-
-@dataclass(frozen=True, slots=True)
-class Schema:
-    name: str
-    encoding: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    topic: str
-    schema_id: int
-    encoding: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,65 +346,47 @@ def find_messages(data: bytes) -> ChunkIndex:
     return ChunkIndex(at, np.array(lengths, dtype=np.int64), channels, times, others)
 
 
-def _take(opcode: int, body: bytes, contents: Contents) -> Counter[int] | None:
-    """Enter a schema, channel, attachment or metadata record; the counts of a statistics record."""
-    reader = _Body(body)
-    if opcode == _SCHEMA:
-        number = reader.number(2)
-        contents.schemas[number] = Schema(reader.text(), reader.text(), reader.text())
-    elif opcode == _CHANNEL:
-        number, schema_id = reader.number(2), reader.number(2)
-        contents.channels[number] = Channel(reader.text(), schema_id, reader.text())
-    elif opcode == _METADATA:
-        name = reader.text()
-        contents.metadata[name] = reader.string_map()
-    elif opcode == _ATTACHMENT:
-        reader.number(8)
-        reader.number(8)
-        name = reader.text()
-        reader.text()
-        data = reader.take(reader.number(8))
-        crc = reader.number(4)
-        if crc not in (0, zlib.crc32(body[:-4])):
-            raise Damage(f"attachment {name} is damaged (checksum)")
-        contents.attachments[name] = data
-    elif opcode == _CHUNK_INDEX:
-        reader.take(16)
-        contents.indexed.add(reader.number(8))
-    elif opcode == _STATISTICS:
-        reader.take(8 + 2 + 4 * 4)
-        first_ns, last_ns = reader.number(8), reader.number(8)
-        contents.extend(first_ns, last_ns)
-        pairs = reader.number(4) // 10
-        return Counter({reader.number(2): reader.number(8) for _ in range(pairs)})
-    return None
-
-
-class _Body:
-    """Reads the content of one record; Damage where it ends too early."""
+class _WholeFields(ReadDataStream):
+    """The content of a record, of which no field is cut off."""
 
     def __init__(self, body: bytes) -> None:
-        self._body, self._offset = body, 0
+        super().__init__(io.BytesIO(body))
+        self._size = len(body)
 
-    def take(self, count: int) -> bytes:
-        start, self._offset = self._offset, self._offset + count
-        if self._offset > len(self._body):
-            raise Damage("a record is too short")
-        return self._body[start : self._offset]
+    def read(self, length: int) -> bytes:
+        """EndOfFile where it ends too early."""
+        if self.count + length > self._size:
+            raise EndOfFile
+        return super().read(length)
 
-    def number(self, size: int) -> int:
-        return int.from_bytes(self.take(size), "little")
 
-    def text(self) -> str:
-        try:
-            return self.take(self.number(4)).decode()
-        except UnicodeDecodeError as error:
-            raise Damage("a text is not UTF-8") from error
-
-    def string_map(self) -> dict[str, str]:
-        end = self.number(4) + self._offset
-        out: dict[str, str] = {}
-        while self._offset < end:
-            key = self.text()
-            out[key] = self.text()
-        return out
+def _take(opcode: int, body: bytes, contents: Contents) -> Counter[int] | None:
+    """Enter a schema, channel, attachment or metadata record; the counts of a statistics record."""
+    stream = _WholeFields(body)
+    try:
+        if opcode == _SCHEMA:
+            schema = Schema.read(stream)
+            schema.data.decode()
+            contents.schemas[schema.id] = schema
+        elif opcode == _CHANNEL:
+            channel = Channel.read(stream)
+            contents.channels[channel.id] = channel
+        elif opcode == _METADATA:
+            metadata = Metadata.read(stream)
+            contents.metadata[metadata.name] = metadata.metadata
+        elif opcode == _ATTACHMENT:
+            attachment = Attachment.read(stream)
+            if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
+                raise Damage(f"attachment {attachment.name} is damaged (checksum)")
+            contents.attachments[attachment.name] = attachment.data
+        elif opcode == _CHUNK_INDEX:  # of an hour 3600, with 60 entries each that nobody needs
+            contents.indexed.add(*struct.unpack_from("<Q", body, 16))
+        elif opcode == _STATISTICS:
+            statistics = Statistics.read(stream)
+            contents.extend(statistics.message_start_time, statistics.message_end_time)
+            return Counter(statistics.channel_message_counts)
+    except (EndOfFile, struct.error) as error:
+        raise Damage("a record is too short") from error
+    except UnicodeDecodeError as error:
+        raise Damage("a text is not UTF-8") from error
+    return None

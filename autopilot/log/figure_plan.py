@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
-from autopilot.log.description import Point2, RunDescription
+from autopilot.log.description import RunDescription
 from autopilot.log.plan_summary import MovedObstacle
 from autopilot.log.scene import outline
 
@@ -35,7 +35,8 @@ def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> 
         circle = None if shape.center_m is None else (*shape.center_m, shape.radius_m or 0.0)
         if circle is not None and any(_same(circle, other) for other in drawn):
             continue
-        if shape.vertices_m and _same_corners(shape.vertices_m, run.tank_polygon_m):
+        walls = run.tank_polygon_m if len(run.tank_polygon_m) == len(shape.vertices_m) else ()
+        if walls and all(any(_same(corner, wall) for wall in walls) for corner in shape.vertices_m):
             continue
         color = "#2ca02c" if shape.inclusion else "#d62728"
         ax.add_patch(Polygon(outline(shape), closed=True, fill=False, edgecolor=color, linewidth=1.0))
@@ -63,10 +64,6 @@ def _draw_moved(ax: Axes, moved: MovedObstacle, run: RunDescription, label: str 
     zone = radius + run.body_radius_m
     ax.add_patch(Circle(moved.nearest_m, zone, fill=False, edgecolor="red", linestyle="--", linewidth=1.0, label=label))
     ax.annotate(f"{moved.nearest_s:.0f} s", moved.nearest_m, ha="center", va="center", fontsize=7, color="white")
-
-
-def _same_corners(a: Sequence[Point2], b: Sequence[Point2]) -> bool:
-    return len(a) == len(b) and all(any(_same(corner, other) for other in b) for corner in a)
 
 
 def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from autopilot.core.disk import in_place_of, make_folder
 from autopilot.core.errors import LogError
 from autopilot.core.names import unknown
-from autopilot.log import figure_more, figure_paper, figure_tracks
+from autopilot.log import figure_paper, figure_tracks
 from autopilot.log.figure_parts import LEAST_FOR_BAND, STYLE, FigureScene, make_scene
 from autopilot.log.reader import Log
 
@@ -26,10 +26,10 @@ FIGURES: dict[str, Drawing] = {
     "3_planar_speed": figure_paper.planar_speed,
     "4_heave_and_yaw_rate": figure_paper.heave_and_yaw_rate,
     "5_thrusters": figure_paper.thrusters,
-    "6_estimate_error": figure_more.estimate_errors,
-    "7_solve_time": figure_more.solve_time,
-    "8_energy": figure_more.energy,
-    "9_current": figure_more.current,
+    "6_estimate_error": figure_paper.estimate_errors,
+    "7_solve_time": figure_paper.solve_time,
+    "8_energy": figure_paper.energy,
+    "9_current": figure_paper.current,
 }
 """File name -> what draws it; 1 to 5 are the paper's."""
 OVERLAID: dict[str, Callable[[Sequence[FigureScene]], Figure | None]] = {

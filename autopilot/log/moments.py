@@ -146,15 +146,15 @@ class LogMoments:
     def _index(self) -> None:
         with self._log.reopened() as file:
             for number, chunk in enumerate(self._chunks):
-                for topic, first_ns, last_ns in _indexed(file, chunk, self._topics) or self._searched(number):
+                found = _indexed(file, chunk, self._topics)
+                if not found:  # a chunk without an index
+                    times = self._unpacked(number).times_ns
+                    found = [(topic, int(t_ns[0]), int(t_ns[-1])) for topic, t_ns in times.items()]
+                for topic, first_ns, last_ns in found:
                     before = self._first_ns.setdefault(topic, [])
                     before.append(max(first_ns, before[-1]) if before else first_ns)
                     self._numbers.setdefault(topic, []).append(number)
                     self._last_ns = max(self._last_ns, last_ns)
-
-    def _searched(self, number: int) -> list[tuple[str, int, int]]:
-        """Topics of a chunk without an index, with their first and last times."""
-        return [(topic, int(t[0]), int(t[-1])) for topic, t in self._unpacked(number).times_ns.items()]
 
     def _unpacked(self, number: int) -> _Unpacked:
         """Of a damaged chunk, nothing."""

@@ -18,7 +18,7 @@ from autopilot.core.samples import CameraFrame, MarkerSighting, PlanarFixSample,
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
-from autopilot.log.packing import programs, sensor_records, step_notes
+from autopilot.log.packing import programs, records, step_notes
 from autopilot.log.packing.records import Pack, pack_record
 from autopilot.log.record_table import MAX_NODES, TruthLike
 from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
@@ -45,7 +45,7 @@ MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
 MAX_FAULTS = 32
 """Internal faults that a log keeps with all they had; of the others it has the line."""
-VIEWERS: dict[type, tuple[str, Pack]] = {**sensor_records.VIEWERS, PowerSample: ("/in/power", visuals.battery_state)}
+VIEWERS: dict[type, tuple[str, Pack]] = {**records.VIEWERS, PowerSample: ("/in/power", visuals.battery_state)}
 """Class of a sample -> the topic that viewers know, and how it is packed for them."""
 _BODY = 12
 """Bytes of a message in front of its content: encapsulation and stamp."""
@@ -243,9 +243,9 @@ class Packer:
 
     def _sample(self, sample: Sample) -> None:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
-        topic = sensor_records.SAMPLE_TOPICS[type(sample)]
+        topic = records.SAMPLE_TOPICS[type(sample)]
         if isinstance(sample, MarkerSighting):
-            self._write(topic, t_us, sensor_records.marker_sighting(stamp_ns, sample))
+            self._write(topic, t_us, records.marker_sighting(stamp_ns, sample))
         else:
             self._record(topic, t_us, sample)
         if type(sample) in VIEWERS:

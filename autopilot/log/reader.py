@@ -461,9 +461,9 @@ class Log:
             meant = did_you_mean(topic, self.topics)
             raise LogError(f"{self.path}: has no topic {topic}; {meant}it has {', '.join(self.topics) or 'none'}")
         schema = self._contents.schemas.get(channel.schema_id)
-        if schema is None or schema.encoding != "ros2msg" or channel.encoding != "cdr":
+        if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
             raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")
-        return _parsed(schema.name, schema.text), schema.name
+        return _parsed(schema.name, schema.data.decode()), schema.name
 
     def _table(self, topic: str) -> MessageTable:
         types, name = self.types(topic)

@@ -149,8 +149,8 @@ def _register(writer: McapFile, contents: Contents, number: int, schemas: dict[i
     channel = contents.channels[number]
     schema = contents.schemas.get(channel.schema_id)
     if schema is None:
-        return writer.register_channel(channel.topic, channel.encoding, 0, {})
+        return writer.register_channel(channel.topic, channel.message_encoding, 0, {})
     if channel.schema_id not in schemas:
-        schemas[channel.schema_id] = writer.register_schema(schema.name, schema.encoding, schema.text.encode())
+        schemas[channel.schema_id] = writer.register_schema(schema.name, schema.encoding, schema.data)
     metadata = {"offered_qos_profiles": QOS_PROFILES}
-    return writer.register_channel(channel.topic, channel.encoding, schemas[channel.schema_id], metadata)
+    return writer.register_channel(channel.topic, channel.message_encoding, schemas[channel.schema_id], metadata)

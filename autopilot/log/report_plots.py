@@ -42,12 +42,12 @@ from autopilot.log.report_draw import (
     Mark,
     TimeSheet,
     add_legend,
+    density,
     histogram,
     plain_figure,
     spectrum,
 )
 from autopilot.log.scene import outline
-from autopilot.log.spectra import density
 from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
 

@@ -13,6 +13,7 @@ from autopilot.core.orbit import OrbitYaw as OrbitYaw
 from autopilot.core.params import Saved
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
+from autopilot.core.stills import CameraReport, StillRecord
 from autopilot.mavlink.flight_modes import FlightMode as FlightMode
 from autopilot.mavlink.flight_modes import group_of
 
@@ -264,4 +265,125 @@ class VehicleCommands(Protocol):
 
     def end_run(self, end: RunEnd) -> CommandReply:
         """Shut down or restart the service, shortly after the answer. Refused while armed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraIdentity:
+    """The camera, which does not change."""
+
+    vehicle: str
+    width_px: int
+    height_px: int
+    r_frd_from_view: FloatArray
+    """(3, 3) its own axes (x along the optical axis, y to the right of the picture, z down in it) in the body's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraState:
+    exposing: bool
+    """A capture is in progress."""
+    interval_s: float | None
+    """Time between stills of a running sequence, None without one."""
+    distance_m: float | None
+    """Way between stills, None without."""
+    count: int
+    """Stills so far, failed ones included: the next one's number."""
+    report: CameraReport | None
+    """None before the first word of the camera."""
+
+
+class CameraOrders(Protocol):
+    """Requests to the camera, answered at once (:mod:`autopilot.command.photographer`); the pictures follow."""
+
+    identity: CameraIdentity
+
+    @property
+    def state(self) -> CameraState: ...
+
+    def shoot(self, count: int | None, interval_s: float) -> CommandReply:
+        """A number of stills (None = until stopped) at an interval. Replaces a running sequence."""
+        ...
+
+    def stop(self) -> CommandReply:
+        """End the sequence, by time or by distance."""
+        ...
+
+    def shoot_every(self, distance_m: float, *, now: bool) -> CommandReply:
+        """A still after every distance [m] from the last one; 0 ends the sequence. ``now``: the first at once."""
+        ...
+
+    def record(self, index: int) -> StillRecord | None:
+        """A still of this run by its number."""
+        ...
+
+    def take_records(self) -> tuple[StillRecord, ...]:
+        """Stills stored since the last call."""
+        ...
+
+
+class EquipmentOrders(Protocol):
+    """Requests to payload outputs (:mod:`autopilot.command.equipment`). Every order answers at once."""
+
+    @property
+    def thruster_channels(self) -> tuple[int, ...]:
+        """Output of each thruster, in the order of the vehicle file."""
+        ...
+
+    def pulses_us(self) -> Mapping[int, int]:
+        """Channel -> pulse [us] of the payload outputs, as of the last tick."""
+        ...
+
+    def light_levels(self) -> tuple[float, ...]:
+        """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
+        ...
+
+    def set_servo(self, channel: int, pulse_us: float) -> CommandReply: ...
+
+    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
+        """Move to a pulse and back, repeatedly."""
+        ...
+
+    def set_relay(self, number: int, *, on: bool) -> CommandReply: ...
+
+    def toggle_relay(self, number: int) -> CommandReply: ...
+
+    def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
+        """Toggle a relay and back, repeatedly."""
+        ...
+
+    def grip(self, number: int, *, close: bool) -> CommandReply: ...
+
+    def refuse_actuator(self, number: int) -> str:
+        """Why an actuator cannot be moved, "" when it can."""
+        ...
+
+    def set_actuators(self, values: Mapping[int, float]) -> CommandReply:
+        """Number -> -1 to 1. All or none."""
+        ...
+
+    def refuse_tilt(self, angle_rad: float | None = None) -> str:
+        """Why the camera cannot be tilted, or not to an angle; "" when it can."""
+        ...
+
+    @property
+    def tilt_rad(self) -> float | None:
+        """Angle of the camera's tilt, upwards positive; None without one, and while nobody knows it."""
+        ...
+
+    @property
+    def tilt_range_rad(self) -> tuple[float, float] | None:
+        """Ends of the tilt, lower and upper; None without one."""
+        ...
+
+    def tilt(self, angle_rad: float) -> CommandReply:
+        """Tilt the camera to an angle against the body, upwards positive."""
+        ...
+
+    def tilt_by(self, step_rad: float | None) -> CommandReply:
+        """Tilt the camera up or down by a step; None = to its start, its middle as a rule."""
+        ...
+
+    def lights(self, change: float | None) -> CommandReply:
+        """Change the brightness of all lights by a share; None = toggle."""
         ...

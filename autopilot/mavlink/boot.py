@@ -3,13 +3,12 @@
 from collections.abc import Hashable
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import development as mav
-
 from autopilot.core.clients import EVERYONE, Reach
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.boot_identity import BootFiles, BootIdentity
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import COMPID, MISSION_COMPID
+from autopilot.mavlink.dialect import command_ids, mav, message_ids
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.signing import is_signed_with, signed
 from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
@@ -18,40 +17,16 @@ MAX_PARSERS = 64
 """Clients of a link whose unfinished messages are kept."""
 STARTING = "Service is starting; try again in a few seconds"
 
-_REQUESTS = frozenset(
-    (
-        mav.MAV_CMD_REQUEST_MESSAGE,
-        mav.MAV_CMD_SET_MESSAGE_INTERVAL,
-        mav.MAV_CMD_GET_MESSAGE_INTERVAL,
-        mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
-        mav.MAV_CMD_REQUEST_PROTOCOL_VERSION,
-        mav.MAV_CMD_GET_HOME_POSITION,
-    )
+_REQUESTS = command_ids(
+    "REQUEST_MESSAGE SET_MESSAGE_INTERVAL GET_MESSAGE_INTERVAL REQUEST_AUTOPILOT_CAPABILITIES"
+    " REQUEST_PROTOCOL_VERSION GET_HOME_POSITION"
 )
 """Requests of clients at their connect. Data not known yet are answered later by the service."""
 
-_KEPT = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_HEARTBEAT,
-        mav.MAVLINK_MSG_ID_COMMAND_LONG,
-        mav.MAVLINK_MSG_ID_COMMAND_INT,
-        mav.MAVLINK_MSG_ID_SET_MODE,
-        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-        mav.MAVLINK_MSG_ID_PARAM_SET,
-        mav.MAVLINK_MSG_ID_MISSION_COUNT,
-        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
-        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
-        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
-        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
-        mav.MAVLINK_MSG_ID_SETUP_SIGNING,
-    )
+_KEPT = message_ids(
+    "HEARTBEAT COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN PARAM_REQUEST_LIST PARAM_REQUEST_READ"
+    " PARAM_SET MISSION_COUNT MISSION_CLEAR_ALL MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_REQUEST"
+    " MISSION_SET_CURRENT FILE_TRANSFER_PROTOCOL LOG_REQUEST_LIST LOG_REQUEST_DATA REQUEST_DATA_STREAM SETUP_SIGNING"
 )
 """Requests that may be left for the service. Others (sticks, positions of others) are outdated when it starts."""
 

@@ -11,8 +11,7 @@ from functools import partial
 from autopilot.core.frames import quat_from_rpy, r_ned_from_frd, rpy_from_r
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
-from autopilot.mavlink.api import ACCEPTED, CommandResult
-from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.api import ACCEPTED, CameraOrders, CommandResult
 from autopilot.mavlink.commands import (
     REPEAT_US,
     UNSUPPORTED,
@@ -26,7 +25,7 @@ from autopilot.mavlink.commands import (
     request,
 )
 from autopilot.mavlink.context import COMPID, NAME, Context, MavlinkPeer, i32
-from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.dialect import command_ids, mav
 from autopilot.mavlink.files import LOGS
 from autopilot.mavlink.periodic_messages import HEARTBEAT_US
 from autopilot.mavlink.status import MAVLINK_VERSION, version_number
@@ -40,16 +39,9 @@ _PHOTO, _VIDEO = mav.CAMERA_MODE_IMAGE, mav.CAMERA_MODE_VIDEO
 _IDLE, _TAKING, _SEQUENCE = range(3)
 """CAMERA_CAPTURE_STATUS.image_status: whether a still is being taken, and 2 more in a sequence."""
 
-REQUESTS = frozenset(
-    (
-        mav.MAV_CMD_REQUEST_CAMERA_INFORMATION,
-        mav.MAV_CMD_REQUEST_CAMERA_SETTINGS,
-        mav.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS,
-        mav.MAV_CMD_REQUEST_STORAGE_INFORMATION,
-        mav.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE,
-        mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION,
-        mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS,
-    )
+REQUESTS = command_ids(
+    "REQUEST_CAMERA_INFORMATION REQUEST_CAMERA_SETTINGS REQUEST_CAMERA_CAPTURE_STATUS REQUEST_STORAGE_INFORMATION"
+    " REQUEST_CAMERA_IMAGE_CAPTURE REQUEST_VIDEO_STREAM_INFORMATION REQUEST_VIDEO_STREAM_STATUS"
 )
 """Beside REQUEST_MESSAGE."""
 

@@ -14,10 +14,10 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanKind, PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
+from autopilot.mavlink.bounded_table import RecentKeys
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.profiles import Profile
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 

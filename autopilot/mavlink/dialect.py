@@ -12,4 +12,20 @@ extra = extra_messages.load()
 
 mav.mavlink_map.update(extra.mavlink_map)
 
-__all__ = ["extra", "mav"]
+
+def message_ids(names: str) -> frozenset[int]:
+    """Ids of messages by their names, divided by spaces."""
+    return _numbers("MAVLINK_MSG_ID_", names)
+
+
+def command_ids(names: str) -> frozenset[int]:
+    """Numbers of commands by their names without MAV_CMD, divided by spaces."""
+    return _numbers("MAV_CMD_", names)
+
+
+def _numbers(prefix: str, names: str) -> frozenset[int]:
+    constants = vars(mav) | vars(extra)
+    return frozenset(constants[prefix + name] for name in names.split())
+
+
+__all__ = ["command_ids", "extra", "mav", "message_ids"]

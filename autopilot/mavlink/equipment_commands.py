@@ -3,9 +3,9 @@
 import math
 from collections.abc import Mapping
 
+from autopilot.mavlink.api import EquipmentOrders
 from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.equipment_api import EquipmentOrders
 
 ACTUATORS = 6
 """Values of one DO_SET_ACTUATOR; param7 is the index of the set."""

@@ -1,8 +1,8 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
 Read-only. One open file per client; a retransmitted request (the same bytes) gets the same answer. A burst has
-a pace (:mod:`autopilot.mavlink.pace`). It pauses while the link's budget is used up, and ends until the client requests
-more, so that a client that has left is not sent a whole log.
+a pace and pauses while the link's budget is used up (:mod:`autopilot.mavlink.budget`). It ends until the client
+requests more, so that a client that has left is not sent a whole log.
 """
 
 import struct
@@ -16,11 +16,10 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
 from autopilot.core.log_directory import LogDirectory, LogDirectoryEntry
 from autopilot.mavlink.bounded_table import LatestUsed
-from autopilot.mavlink.budget import FILES
+from autopilot.mavlink.budget import FILES, Pace
 from autopilot.mavlink.context import MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
-from autopilot.mavlink.pace import Pace
 from autopilot.mavlink.wire import Message, RawMessage
 
 BURST_PACKETS, BURST_TICKS = 256, 8

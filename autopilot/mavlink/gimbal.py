@@ -7,11 +7,10 @@ one the commands are refused and the messages are not sent.
 import math
 from collections.abc import Mapping
 
-from autopilot.mavlink.api import ACCEPTED
+from autopilot.mavlink.api import ACCEPTED, EquipmentOrders
 from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message
 

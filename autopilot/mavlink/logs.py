@@ -2,7 +2,7 @@
 
 Logs are numbered as in the last list sent to the client (from 1 under the ArduPilot profile, else from 0, as ground
 stations expect). Times and sizes are those of the files. One request per client is served at a time, at the pace of
-:mod:`autopilot.mavlink.pace`.
+:mod:`autopilot.mavlink.budget`.
 """
 
 import struct
@@ -14,11 +14,10 @@ from autopilot.core.background import BackgroundTask
 from autopilot.core.clock import TICK_US
 from autopilot.core.log_directory import LogDirectory, LogDirectoryEntry
 from autopilot.mavlink.bounded_table import LatestUsed
-from autopilot.mavlink.budget import FILES
+from autopilot.mavlink.budget import FILES, Pace
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import OpenFile
-from autopilot.mavlink.pace import Pace
 from autopilot.mavlink.wire import Message, RawMessage
 
 DATA_BYTES = 90

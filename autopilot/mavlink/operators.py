@@ -12,60 +12,28 @@ from autopilot.core import operator_messages as notices
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
 from autopilot.mavlink.context import Context, MavlinkPeer
-from autopilot.mavlink.dialect import extra, mav
+from autopilot.mavlink.dialect import command_ids, extra, mav, message_ids
 from autopilot.mavlink.wire import Message
 
 REQUEST = int(extra.MAV_CMD_REQUEST_OPERATOR_CONTROL)
 STATUS_ID = int(extra.MAVLINK_MSG_ID_CONTROL_STATUS)
 
-OPEN = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_HEARTBEAT,
-        mav.MAVLINK_MSG_ID_PING,
-        mav.MAVLINK_MSG_ID_TIMESYNC,
-        mav.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mav.MAVLINK_MSG_ID_COMMAND_LONG,
-        mav.MAVLINK_MSG_ID_COMMAND_INT,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-        mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ,
-        mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_ACK,
-        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
-        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
-        extra.MAVLINK_MSG_ID_REQUEST_EVENT,
-        mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE,
-        mav.MAVLINK_MSG_ID_ODOMETRY,
-        mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mav.MAVLINK_MSG_ID_ADSB_VEHICLE,
-        mav.MAVLINK_MSG_ID_AIS_VESSEL,
-        mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
-    )
+OPEN = message_ids(
+    "HEARTBEAT PING TIMESYNC SYSTEM_TIME COMMAND_LONG COMMAND_INT PARAM_REQUEST_LIST PARAM_REQUEST_READ"
+    " PARAM_EXT_REQUEST_READ PARAM_EXT_REQUEST_LIST MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_REQUEST"
+    " MISSION_REQUEST_PARTIAL_LIST MISSION_ACK FILE_TRANSFER_PROTOCOL LOG_REQUEST_LIST LOG_REQUEST_DATA"
+    " LOG_REQUEST_END REQUEST_DATA_STREAM REQUEST_EVENT VISION_POSITION_ESTIMATE ODOMETRY GLOBAL_POSITION_INT"
+    " ADSB_VEHICLE AIS_VESSEL OBSTACLE_DISTANCE"
 )
 """Messages accepted from everybody: reading, rates, time, measurements of others. Commands are checked one by one.
 All others, unknown ones included, are reserved to the owner."""
-GRAVE = frozenset((mav.MAVLINK_MSG_ID_LOG_ERASE, mav.MAVLINK_MSG_ID_SETUP_SIGNING))
+GRAVE = message_ids("LOG_ERASE SETUP_SIGNING")
 """Irreversible messages. All clients are informed of the sender."""
-GRAVE_COMMANDS = frozenset((mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE))
+GRAVE_COMMANDS = command_ids("PREFLIGHT_REBOOT_SHUTDOWN PREFLIGHT_STORAGE")
 """The same of commands."""
 GUARD = "MAV_CTRL_NEEDED"
 """Parameter: whether irreversible changes need an owner, also while there is none. It guards itself."""
-_PLAN = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_MISSION_COUNT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM,
-        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-        mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
-    )
-)
+_PLAN = message_ids("MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_CLEAR_ALL MISSION_WRITE_PARTIAL_LIST")
 _NO_PERMISSION = 3
 """MAV_PARAM_ERROR_PERMISSION_DENIED (common.xml)."""
 _LEAST_S, _MOST_S = 3.0, 60.0

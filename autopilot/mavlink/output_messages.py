@@ -3,9 +3,9 @@
 import math
 from collections.abc import Callable, Mapping
 
+from autopilot.mavlink.api import EquipmentOrders
 from autopilot.mavlink.context import Context, f32, u16
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.telemetry import Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 

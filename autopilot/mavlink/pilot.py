@@ -8,10 +8,8 @@ import math
 from dataclasses import dataclass
 
 from autopilot.core import operator_messages as notices
-from autopilot.mavlink.api import CommandReply, Sticks
-from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.api import CameraOrders, CommandReply, EquipmentOrders, Sticks
 from autopilot.mavlink.context import Context, MavlinkPeer
-from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.flight_modes import MODE_BUTTONS
 from autopilot.mavlink.wire import Message
 

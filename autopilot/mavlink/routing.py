@@ -10,12 +10,11 @@ from collections.abc import Callable
 
 from autopilot.core.clients import EVERYONE, Verbatim
 from autopilot.core.messages import MavlinkFrame
-from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.bounded_table import LatestUsed, RecentKeys
 from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import SIGNATURE_BYTES, V1, is_signed, message_id
 
 AGAIN_US = 500_000

@@ -19,24 +19,23 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import MissionResult, PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.mavlink.api import (
+    CameraOrders,
     CommandReply,
     CommandResult,
+    EquipmentOrders,
     FlightMode,
     SigningStore,
     VehicleCommands,
     VehicleView,
 )
-from autopilot.mavlink.arming_events import ArmingEvents
-from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.bounded_table import LatestUsed, RecentKeys
 from autopilot.mavlink.budget import Budget
-from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
 from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, setting
 from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Context, MavlinkPeer, VehicleIdentity
-from autopilot.mavlink.dialect import extra, mav
-from autopilot.mavlink.equipment_api import EquipmentOrders
+from autopilot.mavlink.dialect import extra, mav, message_ids
 from autopilot.mavlink.equipment_commands import EquipmentCommands
-from autopilot.mavlink.events import Events
+from autopilot.mavlink.events import ArmingEvents, Events
 from autopilot.mavlink.external_poses import ExternalPoses
 from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
@@ -54,7 +53,6 @@ from autopilot.mavlink.periodic_messages import PeriodicMessages
 from autopilot.mavlink.pilot import PilotInputs
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.progress import ProgressMessages
-from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.requests import Requests
 from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
@@ -73,53 +71,17 @@ from autopilot.mavlink.wire import Message
 _OPERATORS = frozenset((mav.MAV_TYPE_GCS, mav.MAV_TYPE_ONBOARD_CONTROLLER))
 _OUR_COMPONENTS = frozenset((0, COMPID, MISSION_COMPID))
 
-_URGENT = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_MISSION_COUNT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
-        mav.MAVLINK_MSG_ID_MISSION_ACK,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
-        mav.MAVLINK_MSG_ID_PING,
-        mav.MAVLINK_MSG_ID_TIMESYNC,
-        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
-    )
+_URGENT = message_ids(
+    "MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_REQUEST_LIST MISSION_REQUEST_INT MISSION_REQUEST"
+    " MISSION_ACK PARAM_REQUEST_LIST PARAM_REQUEST_READ PING TIMESYNC FILE_TRANSFER_PROTOCOL"
 )
 """Answered between ticks: transfers at the client's rate. The message that ends an upload is not among them."""
-_HEAVY = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_COMMAND_LONG,
-        mav.MAVLINK_MSG_ID_COMMAND_INT,
-        mav.MAVLINK_MSG_ID_SET_MODE,
-        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
-        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-        mav.MAVLINK_MSG_ID_PARAM_SET,
-    )
-)
+_HEAVY = message_ids("COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN MISSION_CLEAR_ALL PARAM_SET")
 
-_ONCE = frozenset(
-    (
-        mav.MAVLINK_MSG_ID_MISSION_COUNT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM,
-        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-        mav.MAVLINK_MSG_ID_MISSION_ACK,
-        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
-        mav.MAVLINK_MSG_ID_SET_MODE,
-        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
-        mav.MAVLINK_MSG_ID_PARAM_SET,
-        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
-        mav.MAVLINK_MSG_ID_LOG_ERASE,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
-        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
-        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
-        extra.MAVLINK_MSG_ID_COMMAND_CANCEL,
-    )
+_ONCE = message_ids(
+    "MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_CLEAR_ALL MISSION_ACK MISSION_SET_CURRENT SET_MODE"
+    " SET_GPS_GLOBAL_ORIGIN PARAM_SET REQUEST_DATA_STREAM LOG_REQUEST_END LOG_ERASE LOG_REQUEST_LIST"
+    " LOG_REQUEST_DATA FILE_TRANSFER_PROTOCOL COMMAND_CANCEL"
 )
 """A copy of these that comes late would undo what the client has sent meanwhile (commands have an answer to repeat)."""
 

@@ -6,7 +6,7 @@ result has to be identical in every bit of every field.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -199,22 +199,13 @@ def matches(log: Log, states: Sequence[NavState]) -> list[TopicMatch]:
         For /nav/state, /nav/covariance and /nav/status.
     """
     by_time = {state.t_us: state for state in states}
-    result = [_match(log, "/nav/state", by_time, _state_bits)]
+    result = [_match(log, "/nav/state", by_time, lambda state: {name: getattr(state, name) for name in VECTORS})]
     if len(states) != result[0].logged:
         more = f"{len(states)} states against {result[0].logged} in the log"
-        result[0] = TopicMatch(
-            topic="/nav/state",
-            logged=result[0].logged,
-            identical=result[0].identical,
-            first=result[0].first or more,
-        )
+        result[0] = replace(result[0], first=result[0].first or more)
     result.append(_match(log, "/nav/covariance", by_time, lambda state: {"variance": state.variance}))
     result.append(_match(log, "/nav/status", by_time, _status_bits))
     return result
-
-
-def _state_bits(state: NavState) -> _Bits:
-    return {name: getattr(state, name) for name in VECTORS}
 
 
 def _status_bits(state: NavState) -> _Bits:

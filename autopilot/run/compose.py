@@ -114,10 +114,6 @@ def end_slow_work(parts: ServiceParts, *more: BackgroundWorker) -> None:
             worker.close()
 
 
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and math.isfinite(value)
-
-
 def build_service(
     setup: ServiceSetup,
     *,
@@ -135,7 +131,7 @@ def build_service(
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
     controller = controller if around is None else around(controller)
     margin_m = controller.goal_margin_m(params)
-    if not _is_finite(margin_m):
+    if not (isinstance(margin_m, int | float | np.number) and math.isfinite(margin_m)):
         raise ConfigError(f"{setup.controller}: goal_margin_m() returns {margin_m!r}; return a clearance in metres")
     plans = Plans(
         params, vehicle.radius_m, setup.origin, setup.current_check, checks, lambda: controller.goal_margin_m(params)

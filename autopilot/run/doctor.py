@@ -133,15 +133,12 @@ def examine(
     session, settled, devices, computer = found
     findings += computer
     findings += devices
-    findings += judge_samples(config, settled.samples, max(_watched_s(settled), 1e-6))
+    watched_s = 0.0 if settled.outputs is None else 1e-6 * settled.outputs.t_us - SETTLE_S
+    findings += judge_samples(config, settled.samples, max(watched_s, 1e-6))
     findings += _company(tuple(speakers.values()), system)
     findings += _flight(session, settled, config, settings)
     findings += _arming(settled.reasons)
     return findings
-
-
-def _watched_s(settled: _SettledOutputs) -> float:
-    return 0.0 if settled.outputs is None else 1e-6 * settled.outputs.t_us - SETTLE_S
 
 
 def _run(

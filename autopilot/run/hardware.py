@@ -152,8 +152,10 @@ class HardwareVehicle:
         watched = self._watched
         if watched is not None and watched.watchdog_problem and not watched.watchdog_failed:
             found.append(f"thruster watchdog {watched.watchdog_problem}: wait")
-        below = self.below(t_us)
-        return tuple(found) if below is None or not self._lower_received() else (*found, *below.refusals)
+        below, device = self.below(t_us), self._below
+        if below is not None and device is not None and device.state is not DeviceState.DOWN:
+            found += below.refusals
+        return tuple(found)
 
     def watchdog(self, t_us: int) -> str:
         """Fault of the watchdog process that stops the thrusters when the service fails."""
@@ -168,9 +170,6 @@ class HardwareVehicle:
         """Missing devices, without a silent flight controller, which :class:`FlightControllerState` explains."""
         away = [device for device in self.devices if device.state is not DeviceState.UP]
         return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]
-
-    def _lower_received(self) -> bool:
-        return self._below is not None and self._below.state is not DeviceState.DOWN
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         notices = [notice for device in self.devices for notice in device.take_notices()]

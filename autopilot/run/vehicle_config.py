@@ -111,7 +111,7 @@ def load_config(name_or_path: str) -> VehicleConfig:
     elif not path.exists():
         raise unknown("configuration", name_or_path, config_names(), more=" or a file that is there")
     file: ConfigFile = convert(read_toml(path), ConfigFile, str(path))
-    vehicle = load_vehicle(_vehicle_of(file.vehicle, path))
+    vehicle = load_vehicle(file.vehicle if file.vehicle in vehicle_names() else str(path.parent / file.vehicle))
     config = VehicleConfig(
         path=path,
         file=file,
@@ -121,10 +121,6 @@ def load_config(name_or_path: str) -> VehicleConfig:
     )
     _check(config)
     return config
-
-
-def _vehicle_of(name: str, path: Path) -> str:
-    return name if name in vehicle_names() else str(path.parent / name)
 
 
 def _check(config: VehicleConfig) -> None:

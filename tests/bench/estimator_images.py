@@ -16,8 +16,8 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.markers_pose import MarkerSolver
-from autopilot.estimator.measure_laser import MIN_SIGMA_M
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_range import LASER_MIN_SIGMA_M
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera_sensor import SimCamera
@@ -167,7 +167,7 @@ class ImageBench:
             return None, False
         true_m = (self._floor.depth_m - float((pos_ned_m + r @ self._laser_frd_m)[2])) / float(r[2, 2])
         error_m = found[0] - true_m
-        return error_m, error_m**2 <= CHI2_999[1] * max(found[1], MIN_SIGMA_M) ** 2
+        return error_m, error_m**2 <= CHI2_999[1] * max(found[1], LASER_MIN_SIGMA_M) ** 2
 
 
 def bench_images(short: bool = False) -> Iterator[ImageRow]:

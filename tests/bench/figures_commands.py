@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_rows import run_one
-from autopilot.cli.bench_tables import SHORT, Rows, print_rows
+from autopilot.cli.bench_rows import SHORT, Rows, print_rows, run_one
 from autopilot.cli.shared_options import JSON
 from tests.bench.tables import HEADS, TITLES, judge, seed_range, tell
 

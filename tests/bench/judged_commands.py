@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import SHORT, print_rows
+from autopilot.cli.bench_rows import SHORT, print_rows
 from autopilot.cli.click_types import FiniteRange
 from autopilot.cli.console_output import print_table
 from autopilot.cli.shared_options import JSON

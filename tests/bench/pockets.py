@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics

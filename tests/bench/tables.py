@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import click
 
-from autopilot.cli.bench_tables import Rows, print_rows
+from autopilot.cli.bench_rows import Rows, print_rows
 from autopilot.cli.console_output import emit_json, progress_bar
 
 _Part = TypeVar("_Part")

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from autopilot.bench.estimator_row import bench_estimator
 from autopilot.cli import bench_rows
 from autopilot.cli.bench import ALL, KNOWN_STUDIES, LONG, bench
-from autopilot.cli.bench_tables import TITLES, Rows
+from autopilot.cli.bench_rows import TITLES, Rows
 from autopilot.cli.console_output import emit_json
 from tests.bench import studies, tables
 from tests.bench.fuzz.result import Result

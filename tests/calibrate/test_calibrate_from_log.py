@@ -18,7 +18,7 @@ from autopilot.core.markers import grid_floor
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import AhrsSample, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from autopilot.log.packing import sensor_records
+from autopilot.log.packing import records
 from autopilot.log.packing.records import pack_record
 from autopilot.log.writer import LogWriter
 from autopilot.record.estimator_setup import estimator_attachments
@@ -86,7 +86,7 @@ def record(path: Path, motion: Motion | None = None, *, markers: bool = True, si
                 corners_px=corners + 0.1 * rng.standard_normal(corners.shape),
                 laser_px=true.laser_pixel((FLOOR_M - start[2]) / along[2]) + 0.3 * rng.standard_normal(2),
             )
-            log.write("/in/markers", t_us, sensor_records.marker_sighting(EPOCH_NS + 1000 * t_us, sighting))
+            log.write("/in/markers", t_us, records.marker_sighting(EPOCH_NS + 1000 * t_us, sighting))
     return path
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi

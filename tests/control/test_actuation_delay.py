@@ -8,8 +8,7 @@ from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, nav_state, rk4, still
 
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.lag import ThrusterLag
-from autopilot.control.thrust.actuation_delay import ActuationDelay
-from autopilot.control.thrust.command_delay import LONGEST_DOUBT_S, CommandDelay
+from autopilot.control.thrust.actuation_delay import LONGEST_DOUBT_S, ActuationDelay, CommandDelay
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Fallback, NavHealth
 from autopilot.core.model4 import Model4

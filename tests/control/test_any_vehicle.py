@@ -14,8 +14,7 @@ from autopilot.control.controller import MotionController
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import uniform_grid
-from autopilot.control.nmpc.native import NativeStep
-from autopilot.control.nmpc.solver import QpStep, passes_self_test
+from autopilot.control.nmpc.solver import NativeStep, QpStep, passes_self_test
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.thruster_health import ThrusterHealth
 from autopilot.core.control_allocator import ControlAllocator

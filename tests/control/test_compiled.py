@@ -10,7 +10,8 @@ import pytest
 from control_loop import MODEL
 from vehicles import drawn
 
-from autopilot.control.nmpc import native, ocp
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc import solver as native
 from autopilot.control.nmpc.grid import grid_of, uniform_grid
 from autopilot.control.nmpc.model_code import COEFFICIENTS, coefficients, model_function
 from autopilot.control.nmpc.solver import Nmpc

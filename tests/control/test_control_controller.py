@@ -9,8 +9,7 @@ from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, B, fly, goal, jet, na
 
 from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.controller import MotionController
-from autopilot.control.nmpc.native import NativeStep
-from autopilot.control.nmpc.solver import QpStep
+from autopilot.control.nmpc.solver import NativeStep, QpStep
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Fallback, NavHealth, SolveStatus
 from autopilot.core.model4 import YAW

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.control.current.current_memory import CurrentMemory
 from autopilot.control.current.currents import (
     CurrentForecast,
+    CurrentMemory,
     EstimatedCurrent,
     MappedCurrent,
     NoCurrent,

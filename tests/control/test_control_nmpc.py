@@ -9,7 +9,8 @@ from control_loop import MODEL, TANK
 
 from autopilot.analysis.ipopt import IpoptNmpc
 from autopilot.control.constraints.obstacles import Features
-from autopilot.control.nmpc import native, ocp
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc import solver as native
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
 from autopilot.control.path.planner import Planner

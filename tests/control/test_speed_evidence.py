@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import geometric_grid
-from autopilot.control.robust.margins import Margins
-from autopilot.control.robust.mismatch_evidence import SpeedEvidence
+from autopilot.control.robust.margins import Margins, SpeedEvidence
 from autopilot.control.robust.robust_tuning import EVIDENCE
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavHealth, NavState

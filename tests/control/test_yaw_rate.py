@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.robust.margins import AT_REST
+from autopilot.control.robust.margins import AT_REST, YawRateExcess
 from autopilot.control.robust.robust_tuning import YAW_RATE
-from autopilot.control.robust.yaw_rate import YawRateExcess
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
 from tests.control.vehicles import LBV150, bluerov2

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from autopilot.calibrate.vehicle_edit import write_updated
 from autopilot.campaign.results import RunResult
-from autopilot.campaign.tabular import write_tables
+from autopilot.campaign.run_table import write_tables
 from autopilot.core.disk import in_place_of
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.param_file import write_param_file

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.core.frames import quat_from_rpy
 from autopilot.drivers import ellipse_protocol as ellipse
-from autopilot.drivers import ping_protocol as ping
+from autopilot.drivers import ping1d as ping
 from autopilot.drivers.base import AlwaysOpen
 
 RPY_RAD = (0.05, -0.08, 1.2)

@@ -13,8 +13,8 @@ from autopilot.drivers.retry import SteadyOutput
 from autopilot.drivers.sabertooth import Sabertooth, SabertoothOptions
 from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
 from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.sitl.hil import PtyLine
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
-from autopilot.sitl.pty_line import PtyLine
 from tests.drivers.sabertooth_emulator import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")

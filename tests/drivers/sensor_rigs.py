@@ -42,9 +42,9 @@ from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.retry import SteadySensor
 from autopilot.drivers.waterlinked_a50 import WaterLinkedA50, WaterLinkedA50Options
 from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.hil import PtyLine
 from autopilot.sitl.i2c_bus import EmulatedI2c, I2cChip
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.pty_line import PtyLine
 from autopilot.sitl.sensor_tables import AhrsSensor
 
 TICK_US = 10_000

@@ -20,7 +20,7 @@ from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.playback import Playback, PlaybackOptions, compressed_picture
 from autopilot.drivers.retry import DeviceState, SteadySensor
 from autopilot.log.visuals import compressed_image
-from autopilot.sitl.mjpeg import MjpegServer
+from autopilot.sitl.camera_process import MjpegServer
 
 VEHICLE = load_vehicle("lbv150")
 TRANSPORT_US = 30_000

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.drivers import ping_protocol
+from autopilot.drivers import ping1d
 from autopilot.drivers.framing import FrameCutter, FrameParser
 from autopilot.drivers.ig500_protocol import Ig500Frame, Ig500Parser, encode_frame
-from autopilot.drivers.ping_protocol import PingFrame, PingParser
+from autopilot.drivers.ping1d import PingFrame, PingParser
 
 
 def v1(payload: bytes) -> bytes:
@@ -67,7 +67,7 @@ DEVICES = pytest.mark.parametrize(
     ("kind", "frame", "encode"),
     [
         (Ig500Parser, Ig500Frame, encode_frame),
-        (PingParser, lambda number, data: PingFrame(message=number, payload=data), ping_protocol.encode),
+        (PingParser, lambda number, data: PingFrame(message=number, payload=data), ping1d.encode),
     ],
 )
 MESSAGES = st.tuples(st.integers(0, 255), st.binary(max_size=80))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.drivers.link_latency import ANSWER_US, DIRECT_US, LinkLatency
+from autopilot.drivers.ardusub_telemetry import ANSWER_US, DIRECT_US, LinkLatency
 from tests.lossy_link import LinkConditions, LossyLink
 
 SPAN_US = (1 << 32) * 1000

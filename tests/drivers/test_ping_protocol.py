@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.vehicle import load_vehicle
-from autopilot.drivers import ping_protocol as wire
+from autopilot.drivers import ping1d as wire
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.drivers.ping1d import Ping1d, Ping1dOptions
 

@@ -13,7 +13,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.estimator import markers_pose, pnp
 from autopilot.estimator.compiled_fit import OnSheets, compiled_fit
-from autopilot.estimator.compiled_update import MOST, CompiledUpdate
+from autopilot.estimator.kalman import MOST, CompiledUpdate
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.pnp import Pose, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets

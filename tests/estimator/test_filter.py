@@ -19,9 +19,9 @@ from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMod
 from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_heading import heading_of
-from autopilot.estimator.measure_laser import LaserRange
 from autopilot.estimator.measure_model import ModelAcceleration, VehicleAcceleration, model_aid_of, planar_mass_ratios
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_range import LaserRange
 from autopilot.estimator.measure_velocity import BodyVelocity
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
 from autopilot.estimator.motion import fill_jacobian, moved

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autopilot.estimator.engine import FixRhythm
 from autopilot.estimator.estimator_tuning import ENGINE
-from autopilot.estimator.fix_rhythm import FixRhythm
 
 TICK_US = 10_000
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.thrust.disturbance_level import DisturbanceLevel
+from autopilot.control.thrust.actuation_delay import DisturbanceLevel
 from autopilot.estimator.measure_model import Swell
 from autopilot.estimator.states import NX, YAW
 

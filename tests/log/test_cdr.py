@@ -29,7 +29,7 @@ from autopilot.core.samples import (
 from autopilot.core.sensors import AID_SENSORS
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
-from autopilot.log.packing import sensor_records
+from autopilot.log.packing import records
 from autopilot.log.packing.records import LARGEST, pack_record
 from autopilot.log.record_table import RECORD_ROWS, RecordRow
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
@@ -198,13 +198,13 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
 @settings(max_examples=25, deadline=None)
 def test_what_viewers_get_of_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
     ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
-    imu = read_back("sensor_msgs/Imu", sensor_records.imu(stamp, ahrs))
+    imu = read_back("sensor_msgs/Imu", records.imu(stamp, ahrs))
     q = imu.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     assert yaw == pytest.approx(rpy[2], abs=1e-9)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
     laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
-    assert read_back("sensor_msgs/Range", sensor_records.laser_range(stamp, laser)).range == np.float32(x)
+    assert read_back("sensor_msgs/Range", records.laser_range(stamp, laser)).range == np.float32(x)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
@@ -280,13 +280,13 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
         sigma_px=np.full(count, 0.25) if laser else None,
         decode_us=decode_us,
     )
-    read = read_back("autopilot_msgs/MarkerSighting", sensor_records.marker_sighting(stamp, sighting))
-    kept = min(count, sensor_records.MAX_MARKERS)
+    read = read_back("autopilot_msgs/MarkerSighting", records.marker_sighting(stamp, sighting))
+    kept = min(count, records.MAX_MARKERS)
     assert (read.count, read.laser_found, read.decode_us) == (kept, int(laser), decode_us)
     assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
     np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
     assert read.laser_px.tolist() == ([1.5, 2.5] if laser else [0.0, 0.0])
-    assert read.sigma_px.tolist() == [0.25 if laser else 0.0] * kept + [0.0] * (sensor_records.MAX_MARKERS - kept)
+    assert read.sigma_px.tolist() == [0.25 if laser else 0.0] * kept + [0.0] * (records.MAX_MARKERS - kept)
     assert read.header.frame_id == "cam"
 
 

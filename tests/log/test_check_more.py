@@ -29,7 +29,7 @@ from autopilot.core.messages import Inputs, MarkerFit, MavlinkFrame, Outputs, Pr
 from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table
-from autopilot.log.clipping import clipped
+from autopilot.log.check_more import clipped
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.log_session import open_run_log
 from autopilot.log.reader import open_log

@@ -13,9 +13,8 @@ from log_synthetic import Run, shifted, write_run
 from autopilot.log.analysis import FlightRecord, load_flight
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
-from autopilot.log.report_draw import LEFT_PX, RIGHT_PX, Curve, TimeSheet, histogram
+from autopilot.log.report_draw import LEFT_PX, RIGHT_PX, Curve, TimeSheet, density, histogram
 from autopilot.log.report_plots import Plots, aimed_yaw, same_turn, unwrapped_deg
-from autopilot.log.spectra import density
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,10 @@ from mavlink_harness import World, both_ways, mav
 
 from autopilot.core.arming_reasons import ALL_MODES, COMPONENT_OF, ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.messages import Failsafe
-from autopilot.mavlink.arming_events import MOST_REASONS
 from autopilot.mavlink.dialect import extra
 from autopilot.mavlink.event_metadata import TEXT_CODES, events_json
 from autopilot.mavlink.event_text import GOES_ON, PIECES, spelled
-from autopilot.mavlink.events import KEPT, RESENT_PER_TICK
+from autopilot.mavlink.events import KEPT, MOST_REASONS, RESENT_PER_TICK
 from autopilot.mavlink.flight_modes import POSITIONLESS, FlightMode
 from autopilot.mavlink.metadata import EVENTS_FILE, GENERAL
 from autopilot.mavlink.profiles import PROFILES

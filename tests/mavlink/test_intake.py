@@ -10,8 +10,8 @@ from mavlink_harness import Client, World, mav, upload, waypoint
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.plan import MissionResult, PlanKind
+from autopilot.mavlink.bounded_table import MAX_RECENT, RecentKeys
 from autopilot.mavlink.inbox import CLIENT_WORK, FLOOD_AGAIN_US, MAX_INBOXES
-from autopilot.mavlink.recent_keys import MAX_RECENT, RecentKeys
 from autopilot.mavlink.wire import MAX_BACKLOG_BYTES, LinkParser, Work, checksum
 
 LOUD, QUIET = 3, 4

@@ -15,11 +15,10 @@ from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.paper import paper_plan
-from autopilot.mission.plan_files import read_plan, write_plan
+from autopilot.mission.plan_files import read_plan, read_waypoints, write_plan
 from autopilot.mission.plan_model import FLOAT32_MAX, PlanFile, without_home
 from autopilot.mission.qgc_plan import read_qgc_plan, write_qgc_plan
 from autopilot.mission.store import plan_checksum
-from autopilot.mission.waypoints_file import read_waypoints
 from tests.plan_items import NAN
 
 PAPER = write_qgc_plan(paper_plan())

@@ -21,11 +21,11 @@ from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.vehicle_config import load_config
 from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.camera_feed import CameraFeed
+from autopilot.sitl.camera_process import MjpegServer
 from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.floor import build_floor
-from autopilot.sitl.mjpeg import MjpegServer
+from autopilot.sitl.hil import PtyLine
 from autopilot.sitl.protocol import PlantContext, create_plant
-from autopilot.sitl.pty_line import PtyLine
 from autopilot.sitl.scenario import load_scenario
 from tests.drivers.sabertooth_emulator import SabertoothEmulator
 

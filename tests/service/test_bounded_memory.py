@@ -14,7 +14,7 @@ from held import tables
 
 from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.messages import MavlinkFrame
-from autopilot.run.allocator import LARGE_BYTES
+from autopilot.run.session import LARGE_BYTES
 from tests.bench.fuzz.fuzzer import Fuzzer
 from tests.bench.fuzz.messages import Sender, Traffic
 
@@ -139,7 +139,7 @@ def test_memory_that_is_wanted_again_and_again_is_not_fetched_from_the_system_ea
     taken = """
 import resource
 import numpy as np
-from autopilot.run.allocator import LARGE_BYTES, give_back_large_blocks
+from autopilot.run.session import LARGE_BYTES, give_back_large_blocks
 
 def pages() -> int:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -12,8 +12,7 @@ from click.testing import CliRunner
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.cli.log import log
-from autopilot.control.nmpc.native import NativeStep
-from autopilot.control.nmpc.solver import QpStep
+from autopilot.control.nmpc.solver import NativeStep, QpStep
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.mission.waypoints_file import read_waypoints
+from autopilot.mission.plan_files import read_waypoints
 from tests.plan_items import plain
 
 ROW = "{}\t{}\t{}\t{}\t0\t0\t0\t{}\t{:.9f}\t{:.9f}\t{}\t1"

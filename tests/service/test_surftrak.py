@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from piloted_world import ALTITUDE, PilotedWorld
 
-from autopilot.command.floor_ranges import FRESH_US, FloorRanges
+from autopilot.command.vehicle_status import FRESH_US, FloorRanges
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import AltimeterSample, LaserSample, Sample
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from autopilot.command.collision import CollisionDetector
+from autopilot.command.environment import CollisionDetector
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import AhrsSample, DepthSample, HullSample, PowerSample

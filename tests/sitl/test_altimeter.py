@@ -10,8 +10,7 @@ from sensor_helpers import FLOOR_M, sampled
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.vehicle import AltimeterMount
-from autopilot.sitl.altimeter import SimAltimeter
-from autopilot.sitl.optional_sensors import SensedWorld
+from autopilot.sitl.optional_sensors import SensedWorld, SimAltimeter
 from autopilot.sitl.scenario_tables import SensorSilence
 from autopilot.sitl.sensor_tables import AltimeterSensor, Outages
 

@@ -19,8 +19,7 @@ import psutil
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.emulate import emulate
-from autopilot.cli.physics import physics
+from autopilot.cli.emulate import emulate, physics
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.samples import CameraFrame
@@ -29,12 +28,11 @@ from autopilot.drivers.drivers_tuning import FRAMES
 from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.retry import SteadySensor
 from autopilot.run.children import autopilot_command, free_port
-from autopilot.run.sitl_emulated import EmulatedFlight
+from autopilot.run.sitl_physics import EmulatedFlight
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.camera_feed import simulated_camera
-from autopilot.sitl.camera_process import CameraProcess, _moved
+from autopilot.sitl.camera_process import CameraProcess, RtpSender, _moved
 from autopilot.sitl.floor import given_markers
-from autopilot.sitl.rtp import RtpSender
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")
@@ -228,7 +226,7 @@ def test_a_tracking_system_where_there_is_no_camera_or_as_asked(
         seen.append(pose)
         return EmulatedFlight()
 
-    monkeypatch.setattr("autopilot.run.sitl_emulated.emulate", emulated)
+    monkeypatch.setattr("autopilot.run.sitl_physics.emulate", emulated)
     done = CliRunner().invoke(emulate, arguments)
     assert done.exit_code == 0, done.output
     assert seen == [pose]

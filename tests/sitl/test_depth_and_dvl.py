@@ -10,9 +10,7 @@ from sensor_helpers import FLOOR_M, sampled
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import DepthMount, DvlMount
-from autopilot.sitl.depth_sensor import SimDepthSensor
-from autopilot.sitl.dvl import SimDvl
-from autopilot.sitl.optional_sensors import SensedWorld
+from autopilot.sitl.optional_sensors import SensedWorld, SimDepthSensor, SimDvl
 from autopilot.sitl.scenario import load_scenario, scenario_path
 from autopilot.sitl.scenario_tables import SensorSilence
 from autopilot.sitl.sensor_tables import DepthSensor, DvlSensor, Outages

@@ -12,8 +12,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.contact import MovingCylinder, SolidGeometry
-from autopilot.sitl.moving import MovingPath
+from autopilot.sitl.contact import MovingCylinder, MovingPath, SolidGeometry
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.simulated_waters import SimulatedWaters

@@ -8,7 +8,7 @@ import pytest
 from sensor_helpers import FLOOR_M, VEHICLE, height, sampled, truth_at
 
 from autopilot.core.samples import LaserSample, PoseSample
-from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.delayed import OutageClock
 from autopilot.sitl.pose_sensor import SimPoseSensor
 from autopilot.sitl.scenario_tables import CameraBlackout
 from autopilot.sitl.sensor_tables import LaserSensor, Outages, PoseSensor

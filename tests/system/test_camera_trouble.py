@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
-from autopilot.command.camera_watch import FOGGY, MESSAGES, SILENT
+from autopilot.command.environment import FOGGY, MESSAGES, SILENT
 from autopilot.core.messages import Outputs
 from autopilot.core.operator_messages import CAMERA_WORKS
 from autopilot.log.analysis import last_counts

@@ -24,8 +24,8 @@ from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, interr
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult, Task
 from autopilot.campaign.run_store import Shard, Store, read_results, scenario_file
+from autopilot.campaign.run_table import write_tables
 from autopilot.campaign.summary import failure_bound, failure_interval, summarise
-from autopilot.campaign.tabular import write_tables
 from autopilot.campaign.worst import logs_of, worst_first
 from autopilot.cli.campaign import stoppable
 from autopilot.cli.main import cli

@@ -17,7 +17,7 @@ from autopilot.campaign.definition import define
 from autopilot.campaign.engines import InProcess
 from autopilot.campaign.run_store import IDENTITY, RUNS, Shard, Store, read_results, settle_identity
 from autopilot.campaign.worlds import vehicles
-from autopilot.campaign.worlds.world_store import read_flights
+from autopilot.campaign.worlds.world_results import read_flights
 from autopilot.cli.main import cli
 from autopilot.core.errors import ConfigError
 from autopilot.mission.paper import paper_plan

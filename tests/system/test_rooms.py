@@ -16,9 +16,8 @@ from autopilot.campaign.worlds.random_world import KINDS, RandomWorld, files_of,
 from autopilot.campaign.worlds.reachability import prospect
 from autopilot.campaign.worlds.world_flight import Flown, WorldTask, fly_world
 from autopilot.campaign.worlds.world_judge import judge_flight, judge_refusal
-from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult
+from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult, read_flights
 from autopilot.campaign.worlds.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
-from autopilot.campaign.worlds.world_store import read_flights
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
 from autopilot.mission.plan_files import read_plan

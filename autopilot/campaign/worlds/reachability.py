@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.campaign.worlds.distance_map import NO_PATH, DistanceMap, Flow, QuickestPath, still
+from autopilot.campaign.worlds.distance_map import NO_PATH, DistanceMap, Flow, still
 from autopilot.campaign.worlds.random_currents import flow_of
 from autopilot.campaign.worlds.random_world import MARGIN_M, RandomWorld, current_table
 from autopilot.campaign.worlds.vehicles import speed_held_m_s
@@ -141,7 +141,10 @@ class _Judge:
         )
         current_m_s = self._current_m_s(there)
         sure_m_s = SURE_FRACTION * self._swims
-        path = self._quickest(here, there, near, sure_m_s, speed, worst=True) if strict else NO_PATH
+        path = NO_PATH
+        if strict:
+            speeds = {"water_m_s": sure_m_s, "ground_m_s": speed}
+            path = self._strict.quickest(here, there, near, self._flow, **speeds, worst=True)
         holdable = current_m_s <= sure_m_s and (yaw is None or self._holds(there, yaw))
         possible = loose and (math.isfinite(path.time_s) or self._perhaps(here, there, accept_m + 0.3))
         straight = self._strict.shortest(here, there, near, self._flow, water_m_s=sure_m_s, ground_m_s=speed)
@@ -176,11 +179,6 @@ class _Judge:
         """The ascent at the end: as sure as the goal before it."""
         bound = 20.0 + depth_m / (0.4 * self._world.scenario["params"]["SPD_HEAVE_MAX"])
         return replace(before, seq=seq, length_m=0.0, bound_s=bound)
-
-    def _quickest(
-        self, here: Point, there: Point, reach: float, water: float, ground: float, *, worst: bool
-    ) -> QuickestPath:
-        return self._strict.quickest(here, there, reach, self._flow, water_m_s=water, ground_m_s=ground, worst=worst)
 
     def _current_m_s(self, place: Point) -> float:
         flow = self._flow(np.array([place]))[:, 0]

@@ -1,10 +1,22 @@
-"""Stored result of a flight in a random world."""
+"""Results of flights in random worlds: one, the folder of a campaign of them, and their summary."""
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 
 import msgspec
+import numpy as np
 
+from autopilot import __version__
+from autopilot.campaign.run_store import ResultStore, read_lines, settle_identity
+from autopilot.campaign.summary import failure_bound
 from autopilot.log.smoothness import BARS, Smoothness
+from autopilot.run.provenance import revision
+
+FORMAT = 1
+IDENTITY, LINES = "rooms.json", "flights.jsonl"
 
 
 class WorldOutcome(StrEnum):
@@ -89,3 +101,89 @@ class WorldResult(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def failed(self) -> bool:
         return bool(self.faults)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeSummary:
+    """Summary of the flights of all worlds, per mode."""
+
+    mode: int
+    flights: int
+    reached: int
+    refused: int
+    told: int
+    misrefused: int
+    not_reached: int
+    errors: int
+    contacts: int
+    """Flights with any, as the next four."""
+    failsafes: int
+    fallbacks: int
+    alarms: int
+    bounds: int
+    failed: int
+    failure_bound: float
+    """Largest failure rate that this still allows with 95 % confidence."""
+    rough: dict[str, int]
+    """Flights that do not keep a bar of smooth commands, by its name."""
+    median_cpu_s: float
+
+
+def summarise(results: Sequence[WorldResult], mode: int) -> ModeSummary:
+    mine = [result for result in results if result.mode == mode]
+
+    def count(outcome: WorldOutcome) -> int:
+        return sum(result.outcome is outcome for result in mine)
+
+    failed = sum(result.failed for result in mine)
+    rough = Counter(name for result in mine for name in result.rough)
+    return ModeSummary(
+        mode=mode,
+        flights=len(mine),
+        reached=count(WorldOutcome.REACHED),
+        refused=count(WorldOutcome.REFUSED),
+        told=count(WorldOutcome.TOLD),
+        misrefused=count(WorldOutcome.MISREFUSED),
+        not_reached=count(WorldOutcome.NOT_REACHED),
+        errors=count(WorldOutcome.ERROR),
+        contacts=sum(result.contacts > 0 for result in mine),
+        failsafes=sum(bool(result.failsafes) for result in mine),
+        fallbacks=sum(result.fallbacks > 0 for result in mine),
+        alarms=sum(bool(result.alarms) for result in mine),
+        bounds=sum(bool(result.broken) for result in mine),
+        failed=failed,
+        failure_bound=failure_bound(failed, len(mine)) if mine else 1.0,
+        rough=dict(rough),
+        median_cpu_s=round(float(np.median([result.cpu_s for result in mine])), 1) if mine else 0.0,
+    )
+
+
+class WorldsIdentity(msgspec.Struct, frozen=True, kw_only=True):
+    """``rooms.json``: identical for all flights of one folder.
+
+    ``rooms.json`` holds the identity, ``flights.jsonl`` one :class:`WorldResult` per line. ``room-0017-energy/`` holds
+    the files of a world that was flown alone: scenario, plan, vehicle, log and figure."""
+
+    format: int
+    version: str
+    revision: str
+    seed: int
+
+
+class WorldStore(ResultStore[WorldResult]):
+    """A folder that is open for one process."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        mine = WorldsIdentity(format=FORMAT, version=__version__, revision=revision(), seed=seed)
+        super().__init__(
+            folder / LINES,
+            lambda flight: f"room {flight.room}",
+            option="--out",
+            prepare=lambda place: settle_identity(place / IDENTITY, mine, LINES),
+        )
+
+
+def read_flights(folder: Path) -> dict[tuple[int, int], WorldResult]:
+    """Finished flights of a folder by world and mode, in order. LogError names a damaged line."""
+    found = read_lines([folder / LINES], WorldResult, lambda result: (result.room, result.mode))
+    return dict(sorted(found.items()))

@@ -53,7 +53,7 @@ CURRENT_MAP = CurrentMapTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMemoryTuning:
-    """Constants of :mod:`autopilot.control.current.current_memory`."""
+    """Constants of :mod:`autopilot.control.current.currents`."""
 
     cells_per_scale: int = 4
     """Nodes per length over which the current changes."""
@@ -77,7 +77,7 @@ CURRENT_MEMORY = CurrentMemoryTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentTrustTuning:
-    """Constants of :mod:`autopilot.control.current.current_trust`."""
+    """Constants of :mod:`autopilot.control.current.current_learning`."""
 
     step_fraction: float = 0.2
     """Looks are so far apart, in lengths of the flow ..."""

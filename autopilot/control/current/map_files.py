@@ -78,7 +78,14 @@ def _read_netcdf3(path: Path) -> dict[str, Variable]:
         # Without mmap nothing of the file is referred to once it is closed. Of a damaged one scipy closes nothing.
         with path.open("rb") as raw, netcdf_file(raw, "r", mmap=False) as file:
             return {
-                name: _variable(path, name, np.array(v.data), tuple(v.dimensions), _attributes(v))
+                # scipy keeps the attributes of the file as attributes of the object.
+                name: _variable(
+                    path,
+                    name,
+                    np.array(v.data),
+                    tuple(v.dimensions),
+                    {key: getattr(v, key) for key in ATTRIBUTES if hasattr(v, key)},
+                )
                 for name, v in file.variables.items()
                 if np.asarray(v.data).dtype.kind in "iuf"
             }
@@ -105,15 +112,6 @@ def _read_hdf5(path: Path) -> dict[str, Variable]:
             }
     except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
         raise _damaged(path, error) from error
-
-
-def _attributes(variable: object) -> dict[str, Any]:
-    """scipy keeps the attributes of the file as attributes of the object."""
-    return _picked({key: getattr(variable, key) for key in ATTRIBUTES if hasattr(variable, key)})
-
-
-def _picked(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: attributes[key] for key in ATTRIBUTES if key in attributes}
 
 
 def _damaged(path: Path, error: Exception) -> ConfigError:

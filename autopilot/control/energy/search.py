@@ -52,7 +52,8 @@ class EnergyPlanner:
             return no_plan(request.goal, "no way")
         field, to_go, best = found
         cancel.check()
-        beyond = _field_beyond(field, request.goal)
+        following = request.goal.following
+        beyond = None if following is None else field.to(np.asarray(following.pos_ned_m[:2], dtype=float))
         end_slope = _slope_beyond(beyond, request.goal)
         task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._allocator, cancel)
         task.guesses(best)
@@ -164,11 +165,6 @@ class EnergyPlanner:
 def _alike(one: Trajectory, other: Trajectory) -> bool:
     """Whether two trajectories to the same goal take the same path and the same turns."""
     return bool(np.abs(one.x[:, [X, Y, YAW]] - other.x[:, [X, Y, YAW]]).max() < SEARCH.alike)
-
-
-def _field_beyond(field: EnergyField, goal: Goal) -> EnergyToGo | None:
-    """The energy to go of the leg after ``goal``."""
-    return None if goal.following is None else field.to(np.asarray(goal.following.pos_ned_m[:2], dtype=float))
 
 
 def _slope_beyond(beyond: EnergyToGo | None, goal: Goal) -> FloatArray:

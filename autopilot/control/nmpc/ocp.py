@@ -90,7 +90,7 @@ PIQP = QpBackend(plugin="piqp", options={"piqp": {"kkt_solver": "sparse_ldlt_ine
 
 
 NATIVE = QpBackend(plugin="native", options={}, staged=True)
-"""The step in C (:mod:`autopilot.control.nmpc.native`), where it was compiled at installation."""
+"""The step in C (:mod:`autopilot.control.nmpc.solver`), where it was compiled at installation."""
 
 BACKENDS = (NATIVE, HPIPM, PIQP)
 """In the order in which they are tried."""

@@ -12,16 +12,14 @@ from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.path.reference import unknown_speed_m_s, water_speed_fraction
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
-from autopilot.control.robust.mismatch_evidence import SpeedEvidence
-from autopilot.control.robust.robust_tuning import TUBE, WATER_SPEED
+from autopilot.control.robust.robust_tuning import EVIDENCE, TUBE, WATER_SPEED, YAW_RATE
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
 from autopilot.control.robust.water_speed import WaterSpeed
-from autopilot.control.robust.yaw_rate import YawRateExcess
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import NX, Model4
+from autopilot.core.model4 import NX, Model4, forced_acceleration
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -41,6 +39,110 @@ AT_REST = NavState(
     variance=np.zeros(12),
 )
 """The best estimate of a vehicle at rest."""
+
+
+class YawRateExcess:
+    """How far the yaw rate runs ahead of its prediction. :meth:`push` with every thrust, :meth:`update` once per
+    control step; deterministic.
+
+    Errors of drag, thrust and mass, and thrusters that sit elsewhere than the vehicle file says, act as a moment that
+    the prediction does not know. Of all motions yaw answers first: within one lag of the thrusters, before a new
+    command acts, 0.2 N m turn the LBV150 faster by 0.1 rad/s. The residual of the yaw equation, r' - (N - D r + Munk
+    moment) / m44, shows this moment however it comes about (disturbance observer: Chen et al. 2016). Times the delay of
+    a command it is what the yaw rate gains before anything can be done about it: the back-off of the limit, in the
+    direction of the turn. With a model that is right there is none."""
+
+    def __init__(self, model: Model4, lag_s: float) -> None:
+        """``lag_s``: mean lag of the thrusters."""
+        self._model, self._row = model, np.array(model.allocation[3])
+        self._lead_s = lag_s + YAW_RATE.step_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has been seen."""
+        self._last: tuple[int, int, list[float]] | None = None
+        self._impulse_nms = self._pushed_s = 0.0
+        self._unknown_rad_s2 = 0.0
+
+    def push(self, acting_n: FloatArray, elapsed_s: float) -> None:
+        """Thrust (n,) that acts ``elapsed_s`` after the last call."""
+        self._impulse_nms += elapsed_s * self._row.dot(acting_n).item()
+        self._pushed_s += elapsed_s
+
+    def update(self, nav: NavState) -> None:
+        """From the motion since the last call; ``nav`` in the level frame."""
+        last, impulse_nms, pushed_s = self._last, self._impulse_nms, self._pushed_s
+        u, v, _ = nav.vel_water_frd_m_s.tolist()
+        motion = [u, v, 0.0, nav.rate_frd_rad_s.item(2)]
+        if nav.health is NavHealth.INVALID or not math.isfinite(sum(motion) + impulse_nms):
+            self.reset()
+            return
+        self._last, self._impulse_nms, self._pushed_s = (nav.t_us, nav.reset_count, motion), 0.0, 0.0
+        elapsed_s = 0.0 if last is None else (nav.t_us - last[0]) * 1e-6
+        if last is None or last[1] != nav.reset_count or not 0.0 < elapsed_s <= YAW_RATE.longest_s or not pushed_s:
+            self._unknown_rad_s2 = 0.0
+            return
+        between = [0.5 * (before + now) for before, now in zip(last[2], motion, strict=True)]
+        predicted = forced_acceleration(self._model, between, (0.0, 0.0, 0.0, impulse_nms / pushed_s), math)[3]
+        residual = (motion[3] - last[2][3]) / elapsed_s - predicted
+        self._unknown_rad_s2 += (1.0 - math.exp(-elapsed_s / YAW_RATE.follow_s)) * (residual - self._unknown_rad_s2)
+
+    def back_off_rad_s(self, planned_rad_s: float) -> float:
+        """Back-off of the limit for a plan that turns like this; 0 where the vehicle turns no faster than predicted."""
+        return max(0.0, math.copysign(self._lead_s, planned_rad_s) * self._unknown_rad_s2)
+
+
+class SpeedEvidence:
+    """Adapts the margin of planar speed to the observed overshoot of its limit; updated once per control step.
+
+    The margin is the sum of disturbance bounds and the covariance of the estimate. Mostly the vehicle keeps its speed
+    far better, and in a current close to the speed limit the difference decides whether it advances at all. The margin
+    is therefore reduced slowly while the vehicle moves at its limit without exceeding it, and restored quickly when it
+    exceeds it. Half of the tube and MPC_SPEED_MARGIN are always kept, for errors that are not observable (a wrong
+    current estimate)."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self._t_us: int | None = None
+        self._reset_count = -1
+        self._needed = 1.0
+        self._slow_m_s = 0.0
+        self.margin_fraction = 1.0
+        """Of the margin that is kept."""
+
+    def update(self, nav: NavState, limit_m_s: float, tube_m_s: float, least_m_s: float) -> None:
+        """``tube_m_s``: full margin at the end of the prediction; ``least_m_s``: the part that is always kept."""
+        speed = math.hypot(float(nav.vel_water_frd_m_s[0]), float(nav.vel_water_frd_m_s[1]))
+        good = nav.health is NavHealth.GOOD and math.isfinite(speed) and nav.reset_count == self._reset_count
+        if not good or self._t_us is None or tube_m_s <= 0.0 or limit_m_s <= tube_m_s:
+            self.reset()
+            self._t_us, self._reset_count, self._slow_m_s = nav.t_us, nav.reset_count, speed
+            return
+        elapsed_s = min(max((nav.t_us - self._t_us) * 1e-6, 0.0), EVIDENCE.longest_s)
+        self._t_us = nav.t_us
+        self._slow_m_s += (speed - self._slow_m_s) * elapsed_s / EVIDENCE.follow_s
+        cap_m_s = limit_m_s - max(self.margin_fraction * tube_m_s, min(tube_m_s, least_m_s))
+        seen, time_s = 1.0, EVIDENCE.forget_s
+        if speed > EVIDENCE.near_fraction * cap_m_s:
+            seen = (EVIDENCE.sigmas * max(abs(speed - self._slow_m_s), speed - cap_m_s) / tube_m_s) ** 2
+            time_s = EVIDENCE.quick_s if seen > self._needed else EVIDENCE.slow_s
+        self._needed += (min(seen, EVIDENCE.largest_need) - self._needed) * min(1.0, elapsed_s / time_s)
+        self._move(math.hypot(*nav.current_ned_m_s[:2].tolist()) / limit_m_s, elapsed_s / tube_m_s)
+
+    def _move(self, current_ratio: float, per_m_s2: float) -> None:
+        """Move the margin towards the required one, as far as the current demands it."""
+        needed = min(1.0, max(EVIDENCE.least_fraction, math.sqrt(self._needed)))
+        demand = min(
+            max(
+                (current_ratio - EVIDENCE.strong_ratio) / (EVIDENCE.strongest_ratio - EVIDENCE.strong_ratio),
+                0.0,
+            ),
+            1.0,
+        )
+        step = 1.0 - demand * (1.0 - needed) - self.margin_fraction
+        self.margin_fraction += min(max(step, -EVIDENCE.shrink_m_s2 * per_m_s2), EVIDENCE.grow_m_s2 * per_m_s2)
 
 
 class Tighten(IntEnum):

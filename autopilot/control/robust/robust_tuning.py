@@ -43,7 +43,7 @@ DISTURBANCE = DisturbanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class MismatchTuning:
-    """Constants of :mod:`autopilot.control.robust.mismatch_evidence`."""
+    """Constants of :class:`autopilot.control.robust.margins.SpeedEvidence`."""
 
     near_fraction: float = 0.8
     """Speeds above this fraction of the cap are used as evidence."""
@@ -254,7 +254,7 @@ TUBE = TubeTuning()
 
 @dataclass(frozen=True, slots=True)
 class YawRateTuning:
-    """Constants of :mod:`autopilot.control.robust.yaw_rate`."""
+    """Constants of :class:`autopilot.control.robust.margins.YawRateExcess`."""
 
     follow_s: float = 0.1
     """Low-pass on the residual: two control steps. The gyros' noise is then 0.015 rad/s of the back-off (standard

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from autopilot.control.thrust.actuation_delay import CommandDelay
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.attitude_stabilisation import AttitudeStabilizer
-from autopilot.control.thrust.command_delay import CommandDelay
 from autopilot.control.thrust.losses import ThrusterLosses
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray

@@ -18,22 +18,82 @@ elapsed time are equally likely: latency is detected first, its value a little l
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control.thrust.disturbance_level import DisturbanceLevel
-from autopilot.control.thrust.thrustless_motion import push_sigma, thrustless_motion
+from autopilot.control.thrust.thrust_tuning import DISTURBANCE_LEVEL
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import AXES, Model4
+from autopilot.core.model4 import AXES, NO_FORCES, Model4, forced_acceleration
+from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
+from autopilot.core.vehicle import Vehicle
 
 UNLEARNED_LOOKS = 10
 """Updates (1 s) that are reverted when the estimate degrades."""
 
 BESIDES = 5
 """States beside e of every thruster: d of four axes, yaw moment by lateral thrust."""
+LONGEST_DOUBT_S = 2.5
+"""Without thrust for so long a delay has shown itself; if not, something else is wrong with the thrusters."""
+
+
+SETTLE_S = 4.0
+"""The position estimator needs so long to forget the current that it saw in thrust that had not acted yet."""
+
+
+def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: Sequence[float]) -> tuple[float, ...]:
+    """(8,) velocity over ground and yaw rate, and their rate of change without thrust in that current (3,).
+
+    Used by :mod:`autopilot.control.thrust.thruster_health` and :mod:`autopilot.control.thrust.actuation_delay`: the
+    difference to the measured acceleration is thrust or an unmodelled disturbance."""
+    ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
+    north, east, down = current_ned_m_s
+    yaw, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
+    c, s = math.cos(yaw), math.sin(yaw)
+    flow_u, flow_v = c * north + s * east, c * east - s * north
+    nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
+    du, dv, dw, dr = forced_acceleration(model, nu, NO_FORCES, math)
+    # A steady current turns in the body frame.
+    return ground_u, ground_v, ground_w, r, du + r * flow_v, dv - r * flow_u, dw, dr
+
+
+def push_sigma(model: Model4, nav: NavState, at_rest: tuple[float, ...], flow_m_s: float) -> FloatArray:
+    """(4,) standard deviation of unknown accelerations at the speed of now.
+
+    ``at_rest`` (4,) is that of a vehicle at rest; ``flow_m_s`` that of the water's velocity, of which drag and Munk
+    moment make more the faster the vehicle is."""
+    m11, m22, _, m44 = model.mass_kg
+    speed = np.abs(nav.vel_frd_m_s)
+    slope = [(model.linear_drag[i] + 2.0 * model.quadratic_drag[i] * speed[i]) / model.mass_kg[i] for i in range(2)]
+    munk = abs(m11 - m22) / m44 * math.hypot(speed[0], speed[1])
+    return np.hypot(at_rest, np.array([slope[0], slope[1], 0.0, munk]) * flow_m_s)
+
+
+class DisturbanceLevel:
+    """Factors of the variance of disturbances, by axis; 1 where they are as the filters' beliefs have them.
+
+    Covariance matching (Mehra 1970): where the innovations are larger than the filter expects, its disturbance is made
+    larger until they are not. Waves push the same way for a second and the controller pushes back, so that late
+    commands explain a part of them: evidence counts for less, the higher the level."""
+
+    def __init__(self) -> None:
+        self.factor: FloatArray = np.ones(AXES)
+        """(4,)"""
+
+    @property
+    def evidence_share(self) -> float:
+        """What evidence counts for, 1 to 0."""
+        beyond = (float(self.factor.max()) - 1.0) / (DISTURBANCE_LEVEL.silent - 1.0)
+        return max(0.0, 1.0 - beyond)
+
+    def update(self, dt_s: float, innovation: FloatArray, s: FloatArray) -> None:
+        """``innovation`` (4,) of the likeliest candidate, and its covariance ``s`` (4, 4)."""
+        tuning = DISTURBANCE_LEVEL
+        ratio = np.minimum(np.square(innovation) / np.diag(s), tuning.most_ratio)
+        grown = np.exp(dt_s / tuning.follow_s * (ratio - 1.0))
+        self.factor = np.clip(self.factor * grown, 1.0, tuning.most)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,3 +308,62 @@ class ActuationDelay:
 def _toward(values: Sequence[float], goals: Sequence[float], fraction: float) -> list[float]:
     """Linear interpolation by that fraction."""
     return [value + fraction * (goal - value) for value, goal in zip(values, goals, strict=True)]
+
+
+class CommandDelay:
+    """Estimates the command latency while armed (LAT_DETECT) and holds the pulses that have not acted yet."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
+        self._params = params
+        self._delay = ActuationDelay(vehicle.to_model(), Response.of(vehicle.thrusters))
+        self._kept_us = round(float(self._delay.delays_s[-1]) * 1e6) + 1
+        self._sent: deque[tuple[int, FloatArray]] = deque()
+        self._suspect_since_us: int | None = None
+        self._looked = False
+        self._found_us: int | None = None
+        self.delay_s = 0.0
+        """Command latency [s]; 0 until it is certain."""
+        self.doubtful = False
+        """Thrust has shown no effect yet though it should have, and it is not known how late it will: no more of it."""
+
+    @property
+    def prompt(self) -> bool:
+        """Whether the estimated latency is zero."""
+        return self.delay_s == 0.0 and not self.doubtful
+
+    def send(self, t_us: int, pulse_n: FloatArray) -> FloatArray:
+        """(n,) thrust that acts now [N]. ``pulse_n`` (n,): thrust of healthy thrusters for the pulses since the last
+        call.
+        """
+        self._sent.append((t_us, pulse_n))
+        while self._sent[0][0] < t_us - self._kept_us:
+            self._sent.popleft()
+        since_us = t_us - round((self._delay.shortest_s if self.doubtful else self.delay_s) * 1e6)
+        for sent_us, sent_n in reversed(self._sent):
+            if sent_us <= since_us:
+                return sent_n
+        return np.zeros_like(pulse_n)
+
+    def step(self, t_us: int, nav: NavState | None, *, armed: bool) -> None:
+        """Learn from the estimate of now, after :meth:`send`. Disarmed, everything is forgotten."""
+        if not armed or not int(self._params["LAT_DETECT"]):
+            self.delay_s, self.doubtful, self._suspect_since_us, self._found_us = 0.0, False, None, None
+            if self._looked:
+                self._delay.reset()
+            self._looked = False
+            return
+        self._looked = True
+        self._delay.step(t_us, nav, self._sent[-1][1])
+        self.delay_s = self._delay.delay_s
+        self._found_us = (t_us if self._found_us is None else self._found_us) if self.delay_s else None
+        self._suspect_since_us = (self._suspect_since_us or t_us) if self._delay.doubtful else None
+        self.doubtful = self._suspect_since_us is not None and t_us - self._suspect_since_us < LONGEST_DOUBT_S * 1e6
+
+    def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
+        """The estimate for the controller: just after a delay has been found with the current of before."""
+        if self._found_us is None or t_us - self._found_us > SETTLE_S * 1e6:
+            return nav
+        current = self._delay.current_ned_m_s
+        c, s = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2])
+        flow = np.array([c * current[0] + s * current[1], c * current[1] - s * current[0], current[2]])
+        return replace(nav, current_ned_m_s=current, vel_water_frd_m_s=nav.vel_frd_m_s - flow)

@@ -82,7 +82,7 @@ LOSS_BANK = LossBankTuning()
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceLevelTuning:
-    """Constants of :mod:`autopilot.control.thrust.disturbance_level`."""
+    """Constants of :mod:`autopilot.control.thrust.actuation_delay`."""
 
     follow_s: float = 10.0
     """Time constant with which the level falls; it rises faster, the larger the innovations are."""

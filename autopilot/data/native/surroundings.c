@@ -12,7 +12,7 @@ typedef struct {
     double x, y;
 } Place;
 
-/* As control/constraints/compiled_planes.py lays it out. */
+/* As control/constraints/obstacles.py lays it out. */
 typedef struct {
     long edges, rounds;
     const Place *a, *ab, *along, *normal; /* per edge */

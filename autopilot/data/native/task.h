@@ -1,4 +1,4 @@
-/* What a step is told and what it answers; the struct of autopilot/control/nmpc/native.py. */
+/* What a step is told and what it answers; the struct of autopilot/control/nmpc/solver.py. */
 #ifndef TASK_H
 #define TASK_H
 

@@ -9,47 +9,18 @@ from autopilot.core.stills import StillRecord
 from autopilot.log.packing.parts import UINT16, UINT32, clip, padded
 
 _OF_THE_FILTER = (
-    "resets",
-    "clock.backwards",
-    "thrust.malformed",
-    "ahrs.good",
-    "ahrs.malformed",
-    "ahrs.future",
-    "ahrs.old",
-    "ahrs.stuck",
-    "ahrs.blind_steps",
-    "ahrs.tilt_disagreements",
+    *("resets", "clock.backwards", "thrust.malformed", "ahrs.good", "ahrs.malformed", "ahrs.future", "ahrs.old"),
+    *("ahrs.stuck", "ahrs.blind_steps", "ahrs.tilt_disagreements"),
 )
 _OF_AN_AID = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
 _OF_FRAMES = (
-    "ok",
-    "wrong_size",
-    "wrong_type",
-    "dark",
-    "bright",
-    "flat",
-    "torn",
-    "frozen",
-    "dropped",
-    "failed",
-    "late",
-    "foggy",
-    "tilted",
+    *("ok", "wrong_size", "wrong_type", "dark", "bright", "flat", "torn", "frozen", "dropped", "failed", "late"),
+    *("foggy", "tilted"),
 )
 _OF_THE_REST = (
-    "markers.unknown",
-    "markers.misfit",
-    "markers.leaning",
-    "shadow.disagreements",
-    "doubt.accel",
-    "doubt.gyro",
-    "doubt.compass_jumps",
-    "doubt.jumps",
-    "devices.sensors",
-    "devices.camera",
-    "devices.thrusters",
-    "devices.watchdog",
-    "power.malformed",
+    *("markers.unknown", "markers.misfit", "markers.leaning", "shadow.disagreements", "doubt.accel"),
+    *("doubt.gyro", "doubt.compass_jumps", "doubt.jumps", "devices.sensors", "devices.camera"),
+    *("devices.thrusters", "devices.watchdog", "power.malformed"),
 )
 """Names of counts, in the order of the fields of NavCounters; "" for places that are kept free."""
 
