@@ -43,9 +43,9 @@ LONG = {
     "service": "hostile_traffic mavsdk_steers",
     "sitl": "camera_process",
     "system": "busy_machine calibration_flight campaign campaign_set_up crossing_obstacle dask_campaign"
-    " flights_in_waves frozen_ahrs_flights gps_flight lossy_plan_transfer lost_state mavsdk_mission own_parts"
-    " picture_fault_flights pool_by_markers qgroundcontrol real_time restart_armed restart_matrix sensor_faults"
-    " slow_line slow_sources stick_flights tether_processes thruster_loss tilted_camera_flight two_processes"
+    " flights_in_waves frozen_ahrs_flights gps_flight lost_state mavsdk_mission own_parts"
+    " picture_fault_flights pool_by_markers qgroundcontrol real_time restart_matrix sensor_faults"
+    " slow_sources stick_flights thruster_loss"
     " velocity_log_denied who_is_served",
     "tests": "wheel",
     "view": "access ages attitude_dials browser past player process space view_beside",

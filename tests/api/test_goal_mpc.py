@@ -20,6 +20,7 @@ MADE = {name: GoalMpc(name, fence=POOL, params={"SPD_PLANAR_MAX": 0.4}) for name
 places = st.tuples(st.floats(-2.5, 2.5), st.floats(-1.5, 0.0), st.floats(0.6, 1.8), st.floats(-3.1, 3.1))
 
 
+@pytest.mark.long
 @given(st.sampled_from(sorted(MADE)), places, places, st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
 @settings(deadline=None, max_examples=9, phases=[Phase.explicit, Phase.reuse, Phase.generate])  # slow to shrink
 def test_a_vehicle_gets_there_within_its_limits(

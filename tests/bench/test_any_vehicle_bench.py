@@ -23,6 +23,7 @@ def test_some_fly_and_some_are_refused() -> None:
     assert 20 < share < 80
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 8])
 def test_a_vehicle_made_at_random_flies(seed: int) -> None:
     outcome = fly(seed)

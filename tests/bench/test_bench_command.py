@@ -104,12 +104,14 @@ def test_each_part_of_a_long_benchmark_is_told_before_the_next_begins(capsys: py
     assert capsys.readouterr() == ("", "2 of 2  three: 5 letters\n")
 
 
+@pytest.mark.long
 def test_whole_flights_end_with_their_mission_where_there_is_one() -> None:
     flights = planned_flights(whole=True)
     assert {flight.scenario for flight in flights if not flight.whole} == {"narrow-gap", "vortex"}
     assert [str(flight) for flight in planned_flights(only=["b5"])] == ["b5, pose", "paper-tank, pose, in real time"]
 
 
+@pytest.mark.long
 def test_the_short_estimator_row_is_what_log_check_says() -> None:
     rows = bench_estimator((3,))
     assert {"estimate position rms", "estimate yaw rms", "NEES of the position"} <= {row.figure for row in rows}

@@ -1,11 +1,13 @@
 """The campaign of false ids, a few pictures of each kind."""
 
 import numpy as np
+import pytest
 
 from tests.bench.detection import bench_detection, totals
 from tests.bench.photographs import PHOTOGRAPHS, read_photographs, shown, taken_again
 
 
+@pytest.mark.long
 def test_nothing_is_imagined_and_little_missed() -> None:
     rows = list(bench_detection(26, 5, floors=("DICT_4X4_1000", "DICT_APRILTAG_36h11")))
     assert len(rows) == 13

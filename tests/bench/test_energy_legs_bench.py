@@ -1,6 +1,7 @@
 """The study of random legs: repeatable draws, and its figures."""
 
 import numpy as np
+import pytest
 
 from autopilot.control.constraints.obstacles import clearance_m
 from tests.bench.energy.legs import FREE_M, bench_legs, random_leg
@@ -14,6 +15,7 @@ def test_legs_are_free_and_repeatable() -> None:
         assert clearance_m(request.fence, ends).min() > FREE_M
 
 
+@pytest.mark.long
 def test_every_leg_has_a_row_per_kind_of_plan() -> None:
     quick, search = bench_legs(2)
     assert quick.legs == search.legs == 2 and quick.without == search.without == 0

@@ -31,6 +31,7 @@ def test_drag_of_the_optimum_is_the_plants() -> None:
     assert model.mass_kg[:3] == pytest.approx(np.add(flown.mass_kg, flown.added_mass_kg))
 
 
+@pytest.mark.long
 def test_a_leg_upstream_by_line_of_sight_beside_its_optimum() -> None:
     (leg,) = SHORT_LEGS
     row = row_of(leg, fly_leg(leg, PILOTS[-1]), leg_optimum(leg))

@@ -19,7 +19,7 @@ from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.toml_text import toml_text
 from tests.bench import estimator as bench
 from tests.bench import estimator_cost as cost
-from tests.bench.estimator import PLAN, STEADY_S, flight_specs, judged
+from tests.bench.estimator import PLAN, STEADY_S, judged
 from tests.bench.estimator_figures import (
     Limit,
     Watched,
@@ -215,16 +215,7 @@ def test_table_of_made_up_flights() -> None:
     assert rows["60 +- 20 ms late: position, delay ignored (must be bad)"].verdict == "missed"
 
 
-def test_specs_are_one_per_flight_and_seed() -> None:
-    specs = flight_specs(range(7, 10), range(7, 8))
-    pictures = [spec for spec in specs if spec.sensors == "camera"]
-    assert len(pictures) == 3
-    assert len(specs) == 3 * (len(PLAN) - 3) + 3
-    assert specs[:3] == pictures
-    assert {spec.seed for spec in specs} == {7, 8, 9}
-    assert {spec.seed for spec in pictures} == {7}
-
-
+@pytest.mark.long
 def test_the_watching_filter_is_the_flown_one() -> None:
     """Same samples, same thrust: bit for bit the same states, through arming, blackout and wrong fixes."""
     ticks: list[tuple[NavState | None, NavState | None]] = []
@@ -325,6 +316,7 @@ def test_flights_that_nobody_has_calibrated_are_drawn(tmp_path: Path) -> None:
     assert path.stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_a_recorded_flight_over_another_floor() -> None:
     recording = record(3, 6.5)
     camera = Camera(recording)

@@ -6,6 +6,7 @@ from autopilot.control.constraints.obstacles import clearance_m
 from tests.bench.pockets import WORLDS, bench_pockets, starts
 
 
+@pytest.mark.long
 def test_all_goals_are_reached_from_the_hardest_starts() -> None:
     for row in bench_pockets(2):
         assert row.reached == row.starts == 2, row

@@ -1,10 +1,13 @@
 """A flight with other drag and thrust than the file's: the margin shrinks, and the true speed stays below the limit."""
 
+import pytest
+
 from autopilot.mission.local_plan import WaypointTable
 from autopilot.sitl.scenario import load_tables
 from tests.bench.speed_bound import DEPTH_M, DRAG, OPEN, THRUST, flown, tables_of
 
 
+@pytest.mark.long
 def test_high_drag_makes_the_margin_smaller_and_the_bound_holds() -> None:
     tables = load_tables(OPEN)
     tables["current"] = {"kind": "uniform", "velocity_m_s": [-0.1, 0.1, 0.0]}

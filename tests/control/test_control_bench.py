@@ -6,6 +6,7 @@ from autopilot.bench.nmpc import bench_nmpc
 from autopilot.control.nmpc.grid import uniform_grid
 
 
+@pytest.mark.long
 def test_bench_gives_rows_per_grid_and_solutions_that_agree() -> None:
     ticks = iter(range(1_000_000))
     rows = bench_nmpc(30, 10, [("uniform", uniform_grid(8))], cpu_clock=lambda: next(ticks) * 1e-3, starts=2)

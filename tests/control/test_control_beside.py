@@ -125,10 +125,11 @@ def test_a_loop_that_never_rests_gets_its_route_all_the_same() -> None:
         os.sched_setaffinity(0, cores[:1])
         try:
             loop = Loop(MotionController(VEHICLE, desks=on(executor, blocking=False), cpu_clock=lambda: 0.0))
-            lengths = [len(loop.step(goal(2.0, -0.35, 0.45, None), pillar(0.0, -0.35))) for _ in range(1500)]
+            way, around = goal(2.0, -0.35, 0.45, None), pillar(0.0, -0.35)
+            found = any(len(loop.step(way, around)) > 4 for _ in range(1500))
         finally:
             os.sched_setaffinity(0, cores)
-    assert max(lengths) > 4
+    assert found
 
 
 def test_what_does_not_bar_the_route_does_not_stop_the_vehicle() -> None:

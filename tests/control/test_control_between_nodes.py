@@ -118,7 +118,7 @@ def test_moving_obstacles_are_met_where_they_will_be() -> None:
     assert half_planes(Fence(), missed, growing, t_s)[2] < late - 0.1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_thin_obstacles_are_never_crossed_in_flight(seed: int) -> None:
     """Poles of 5 mm and walls of 1 mm between start and goal, at random places and speeds."""
     rng = np.random.default_rng(seed)

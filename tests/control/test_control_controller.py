@@ -239,15 +239,6 @@ def test_from_outside_the_workspace_it_comes_back_within_its_limits(controller: 
     assert np.abs(flight.x[:, 6]).max() < 0.25
 
 
-def test_lower_thruster_limits_are_kept(controller: MotionController) -> None:
-    limit = np.array([12.0, 4.0, 2.0, 0.0])
-    x = START.copy()
-    for step in range(40):
-        output = controller.step(step * STEP_US, nav_state(step * STEP_US, x), B, TANK, ParamSet(), limit)
-        assert output.status.fallback is Fallback.NONE
-        assert (np.abs(output.thrust_n) <= limit).all()
-
-
 def test_reset_forgets_everything(controller: MotionController) -> None:
     first = fly(controller, [B], START, limit_s=2.0)
     controller.reset()

@@ -91,7 +91,7 @@ def test_no_leg_is_too_short_or_without_heading_to_be_planned() -> None:
     """Straight down, a turn on the spot, a goal astern that asks for no heading: guesses took no time for depth or
     turn, or turned at once: two of these were not solved, others took 60 to 150 iterations."""
     rng = np.random.default_rng(5)
-    for case in range(60):
+    for case in range(30):
         x0 = np.array([0.0, 0.0, rng.uniform(5.0, 6.0), rng.uniform(-3.0, 3.0), *rng.uniform(-0.05, 0.05, 3), 0.0])
         way_m, bearing = float(rng.choice([0.0, 0.1, 0.29, 0.6, 1.0, 1.5, 3.0, 5.0])), rng.uniform(-3.0, 3.0)
         depth = x0[2] + float(rng.choice([-0.6, -0.3, 0.0, 0.01, 0.25, 0.4]))

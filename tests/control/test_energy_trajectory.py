@@ -209,6 +209,7 @@ def test_a_vehicle_swept_away_from_a_leg_that_was_left_to_the_route_gets_a_plan(
     assert plans(80, 6.0) > 0
 
 
+@pytest.mark.long
 def test_a_long_leg_keeps_to_the_depth_that_was_drawn() -> None:
     """Sinking all the way and rising at the end would be a little cheaper, and every new plan would begin deeper."""
     open_water = Fence(depth_max_m=20.0)

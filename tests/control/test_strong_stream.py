@@ -80,7 +80,7 @@ def test_what_is_missing_is_said(speed: float, to: Goal, text: str) -> None:
     assert updated(stream(), speed, to).shortfall == text
 
 
-@pytest.mark.parametrize("seed", [4, 6, 9, 23, 191])
+@pytest.mark.parametrize("seed", [4, *(pytest.param(seed, marks=pytest.mark.long) for seed in (6, 9, 23, 191))])
 def test_flights_in_such_streams_touch_nothing_stay_smooth_and_end(seed: int) -> None:
     """Draws of the bench: a pillar in the lee, and a wall where there is thrust enough. In 191 a new route led to the
     other side of the pillar, where there was no coming to."""

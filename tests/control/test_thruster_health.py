@@ -10,6 +10,7 @@ from control_loop import rk4
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autopilot.analysis.estimates import estimate_of
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.filtered_motion import Waves
 from autopilot.control.thrust.thruster_health import ThrusterHealth, configured_effectiveness, hover_problem, usable
@@ -71,18 +72,12 @@ def _nav(x: FloatArray, rng: np.random.Generator, t_s: float, **changes: object)
     c, s = math.cos(x[3]), math.sin(x[3])
     ground = np.array([x[4] + c * CURRENT[0] + s * CURRENT[1], x[5] + c * CURRENT[1] - s * CURRENT[0], x[6]])
     wandering = CURRENT + np.array([0.03 * math.sin(0.2 * t_s), 0.03 * math.cos(0.3 * t_s), 0.0])
-    nav = NavState(
-        t_us=round(t_s * 1e6),
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3].copy(),
-        rpy_rad=np.array([0.0, 0.0, x[3]]),
-        vel_frd_m_s=ground + rng.normal(0.0, 0.004, 3),
-        vel_water_frd_m_s=x[4:7].copy(),
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7] + rng.normal(0.0, 0.006)]),
-        current_ned_m_s=wandering,
-        variance=np.zeros(12),
-    )
-    return replace(nav, **changes)  # type: ignore[arg-type]
+    seen: dict[str, object] = {
+        "vel_frd_m_s": ground + rng.normal(0.0, 0.004, 3),
+        "rate_frd_rad_s": np.array([0.0, 0.0, x[7] + rng.normal(0.0, 0.006)]),
+    }
+    nav = estimate_of(round(t_s * 1e6), x.copy(), current_ned_m_s=wandering)
+    return replace(nav, **{**seen, **changes})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("thruster", range(4))

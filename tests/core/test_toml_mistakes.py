@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
@@ -73,6 +73,7 @@ MISTAKES: dict[str, Callable[[Tables], None]] = {
 }
 
 
+@settings(max_examples=40)
 @given(st.sets(st.sampled_from(sorted(MISTAKES)), min_size=1))
 def test_all_mistakes_are_named_at_once(chosen: set[str]) -> None:
     tables = copy.deepcopy(SOUND)

@@ -3,8 +3,6 @@
 import struct
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from autopilot.core.frames import quat_from_rpy
 from autopilot.drivers.base import Closing
@@ -122,16 +120,6 @@ def test_useless_content_is_counted_and_dropped() -> None:
     port.chunks = [(12, bytes(600))]
     driver.poll(12)
     assert driver.bad_frames >= 1
-
-
-@settings(deadline=None)
-@given(st.lists(st.binary(max_size=80), max_size=10))
-def test_noise_on_the_line_never_raises(chunks: list[bytes]) -> None:
-    port = ScriptedPort()
-    driver = Ig500(port, latency_s=0.01)
-    driver.open()
-    port.chunks = [(k, encode_frame(CONTINUOUS_OUTPUT, chunk) + chunk) for k, chunk in enumerate(chunks)]
-    driver.poll(100)
 
 
 def test_configures_again_when_the_device_falls_silent() -> None:

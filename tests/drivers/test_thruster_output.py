@@ -41,14 +41,6 @@ def output() -> WireOutput:
     return WireOutput(VEHICLE)
 
 
-def test_carries_what_is_commanded(output: WireOutput) -> None:
-    with output:
-        output.write(0, (1600, 1400, 1500, 1900))
-        assert output.pwm_us == (1600, 1400, 1500, 1900)
-        output.write(1, (1510, 1500, 1500, 1500, 0, 0, 0, 0))  # the width of ThrusterCommand
-        assert output.pwm_us == (1510, 1500, 1500, 1500)
-
-
 def test_neutral_when_commands_stop_coming(output: WireOutput) -> None:
     with output:
         output.write(1000, (1600,) * 4)
@@ -61,14 +53,6 @@ def test_neutral_when_commands_stop_coming(output: WireOutput) -> None:
         output.write(3000 + TIMEOUT_US, (1600,) * 4)
         assert not output.check(3000 + TIMEOUT_US)
         assert output.pwm_us == (1600,) * 4
-
-
-def test_neutral_at_once(output: WireOutput) -> None:
-    with output:
-        output.write(0, (1700,) * 4)
-        output.neutral()
-        assert output.pwm_us == NEUTRAL
-        assert output.check(1)
 
 
 def test_pulses_beyond_the_amplifiers_are_cut_and_counted(output: WireOutput) -> None:

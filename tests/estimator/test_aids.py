@@ -197,6 +197,7 @@ def altimeter_of(now: Look, factor: float = 1.0) -> AltimeterSample:
     return AltimeterSample(t_us=now.t_us, range_m=factor * height_m, sigma_m=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("create", [create_ekf, create_complementary])
 def test_an_altimeter_holds_the_depth_when_markers_are_gone_and_only_then(create: Make, vehicle: Vehicle) -> None:
     """Its scale is 2 % off, one echo in four has come back twice, half are lost: what markers say of the depth stays as
@@ -422,6 +423,7 @@ def drawn_log(rng: np.random.Generator) -> Callable[[Look], list[Sample]]:
     return samples
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("create", [create_ekf, create_complementary])
 def test_a_doppler_log_is_as_good_as_its_mounting(vehicle: Vehicle, create: Callable[..., AidedEstimator]) -> None:
     """On it alone for a while: the truth is where the estimate says that it may be, and fixes find it again."""

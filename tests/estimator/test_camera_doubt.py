@@ -206,12 +206,9 @@ def test_a_wrong_focal_length_is_named_and_put_right(floor: MarkerMap, percent: 
 @pytest.mark.parametrize(
     ("share", "stated", "focal_sigma"),
     [
-        (-0.01, 0.008, FOCAL_SIGMA),
         (0.015, 0.008, FOCAL_SIGMA),
         (-0.2, DISTORTION_SIGMA, FOCAL_SIGMA),
-        (0.2, DISTORTION_SIGMA, FOCAL_SIGMA),
         (0.2, DISTORTION_SIGMA, 0.0),
-        (-0.2, DISTORTION_SIGMA, 0.0),
     ],
 )
 def test_a_distortion_that_is_off_is_not_taken_for_a_focal_length(
@@ -331,8 +328,7 @@ def test_nobodys_calibration_is_perfect(floor: MarkerMap) -> None:
     assert 0.4 < np.mean(squares) < 2.0, squares
 
 
-@pytest.mark.parametrize("scatter_s", [0.003, 0.01, 0.02])
-@pytest.mark.parametrize("late_us", [0, 15_000])
+@pytest.mark.parametrize(("scatter_s", "late_us"), [(0.003, 15_000), (0.02, 0), (0.02, 15_000)])
 def test_stamps_that_scatter_are_no_doubt(make_ekf: Make, floor: MarkerMap, scatter_s: float, late_us: int) -> None:
     """A camera of a network, stamped by arrival: a few millimetres more, and nothing is suspected."""
     estimator = make_ekf(markers=floor)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autopilot.analysis.estimates import estimate_of
 from autopilot.control.current.currents import EstimatedCurrent
 from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import Controller, ControllerContext, checked_output, create_controller
@@ -41,17 +42,8 @@ CURRENT = np.array([0.05, -0.08, 0.0])
 def nav_at(t_us: int, x: FloatArray, health: NavHealth = NavHealth.GOOD) -> NavState:
     c, s = math.cos(x[3]), math.sin(x[3])
     over_ground = x[4:7] + np.array([c * CURRENT[0] + s * CURRENT[1], c * CURRENT[1] - s * CURRENT[0], 0.0])
-    return NavState(
-        t_us=t_us,
-        health=health,
-        pos_ned_m=x[:3].copy(),
-        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[3]))]),
-        vel_frd_m_s=over_ground,
-        vel_water_frd_m_s=x[4:7].copy(),
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=CURRENT,
-        variance=np.full(12, 1e-6),
-    )
+    said = estimate_of(t_us, x.copy(), current_ned_m_s=CURRENT, sigma=np.full(12, 1e-3))
+    return replace(said, health=health, vel_frd_m_s=over_ground)
 
 
 @pytest.fixture(params=["nmpc", "los-pid", "my_controller:Follower"])

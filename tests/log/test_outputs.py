@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import resource
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -22,7 +21,6 @@ from matplotlib.figure import Figure
 from mcap.writer import Writer
 
 from autopilot.cli.log import log as log_command
-from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.log import figure_tracks
@@ -356,19 +354,6 @@ def test_results_want_a_folder_where_a_file_is(run_log: Path, tmp_path: Path) ->
     code, out = call("report", run_log, "--out", taken / "a.html")
     assert code == 1 and str(taken) in out and "is not a folder" in out
     assert taken.read_text() == "mine"
-
-
-def test_a_report_on_a_full_disk_leaves_the_one_before_it(tmp_path: Path) -> None:
-    path = tmp_path / "a.html"
-    path.write_text("before")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            write_whole(path, "x" * 100_000)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")

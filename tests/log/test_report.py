@@ -145,6 +145,7 @@ def test_plan_laps_and_failures_come_first_and_the_rest_is_folded(page: Path, fl
     assert names[0] == "verdicts" and [f"#{name}" for name in names] == re.findall(r'<a href="(#[^"]+)"', body)
 
 
+@pytest.mark.long
 @needs_browser
 @pytest.mark.parametrize("width_px", [390, 1440])
 def test_the_page_is_as_wide_as_its_screen(page: Path, width_px: int) -> None:

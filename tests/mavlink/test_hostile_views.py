@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mavlink_harness import NOT_PACKAGED, World, base_view, mav, nav_state
 
+from autopilot.control.protocol import simple_output
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent, ModeGroup
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import (
@@ -103,16 +104,7 @@ views = st.builds(
 )
 
 
-SOLVED = NmpcStatus(
-    t_us=0,
-    status=SolveStatus.OK,
-    fallback=Fallback.NONE,
-    iterations=1,
-    solve_s=0.0,
-    cost=0.0,
-    slack_max=0.0,
-    margin_m=0.0,
-)
+SOLVED = simple_output(0, nav_state(), np.zeros(4)).status
 
 
 def every_message(world: World) -> list[tuple[str, Any]]:

@@ -148,6 +148,7 @@ def test_a_refused_plan_is_explained(world: World, client: Client) -> None:
     assert len(world.plans.items(PlanKind.MISSION)) == 5
     (ack,) = client.ask(mav.MAVLink_mission_clear_all_message(1, 1, 0), "MISSION_ACK", 0.1)
     assert ack.type == R.INVALID_PARAM6_Y and len(world.plans.items(PlanKind.MISSION)) == 5
+    assert "Not cleared (mission): item 1 (QGC 2) is" in client.texts().replace("\n", "")
 
 
 def test_too_many_items_are_refused_at_once(world: World, client: Client) -> None:
@@ -427,7 +428,7 @@ def test_a_download_is_not_mixed_by_an_upload_in_its_midst() -> None:
 # Bad links
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_transfers_survive_loss_duplication_and_reordering(world: World, seed: int) -> None:
     client = world.client(**both_ways(seed))
     first, second, fence = plan(15), plan(9, north=3000), plan(6, 1)

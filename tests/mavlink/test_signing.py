@@ -127,17 +127,6 @@ def test_parts_of_the_service_and_radios_need_no_signature() -> None:
     assert not world.server.take_notices()
 
 
-def test_recorded_frames_are_not_obeyed_again() -> None:
-    world = World(signing=MemoryStore(KEY, NOW))
-    friend = Remote(world, KEY)
-    data = friend.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
-    friend.give(data)
-    for _ in range(50):
-        friend.give(b"")
-    friend.give(data)
-    assert calls(world) == ["disarm"]
-
-
 def test_a_key_that_comes_back_does_not_make_recorded_frames_new() -> None:
     """Found by the fuzzer: with a new key the times of all senders were forgotten, and the old one came back."""
     world = World(signing=MemoryStore(KEY, NOW))
@@ -486,7 +475,7 @@ def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others() -> None:
     assert sent[5] and all(data[0] == 0xFD for data in sent[5])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_client_that_changes_its_version_is_answered_in_the_one_that_it_uses(seed: int) -> None:
     from pymavlink.dialects.v10 import common as v10
 
@@ -510,35 +499,26 @@ def test_a_client_that_changes_its_version_is_answered_in_the_one_that_it_uses(s
 # Operator control
 
 
-def test_while_an_operator_has_control_nobody_else_changes_anything(world: World) -> None:
+def test_control_is_taken_asked_for_and_handed_over(world: World) -> None:
+    """What nobody else may do meanwhile: tests/service/test_operator_control.py."""
     owner, other = world.client(number=1, sysid=255), world.client(number=2, sysid=66)
     beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
     assert other.command(400, *DISARM) == 0
     assert owner.command(32100, 1.0, 0.0, 10.0) == 0
     world.vehicle.calls.clear()
 
-    def everything() -> None:
-        """All that somebody may try."""
-        for message in (
-            mav.MAVLink_set_mode_message(1, 1, 0x04030000),
-            mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, 9),
-            mav.MAVLink_mission_count_message(1, 1, 0, 0),
-            mav.MAVLink_mission_clear_all_message(1, 1, 0),
-            mav.MAVLink_mission_set_current_message(1, 1, 0),
-            mav.MAVLink_manual_control_message(1, 100, 0, 0, 0, 0),
-            beat,
-        ):
-            other.send(message)
-            owner.send(beat)
-            world.run(0.05)
-
     assert other.command(400, *DISARM) == 10
     assert "system 255 is in control" in other.texts()
     assert other.command(185, 1.0) == 10
     assert other.command(300) == 10
-    everything()
-    assert calls(world) == [] and world.params["SPD_CRUISE"] == pytest.approx(0.35)
-    assert world.server.pilot.last_us is None
+    for message in (
+        mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, 9),
+        mav.MAVLink_mission_count_message(1, 1, 0, 0),
+        mav.MAVLink_mission_clear_all_message(1, 1, 0),
+    ):
+        other.send(message)
+        world.run(0.05)
+    assert calls(world) == []
     assert [m.type for m in other.got("MISSION_ACK")] == [mav.MAV_MISSION_DENIED] * 2
     assert [m.error for m in other.got("PARAM_ERROR")] == [3] and other.got("PARAM_VALUE")
     assert other.command(512, 148.0) == 0, "reading goes on"

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 from mavlink_harness import Client, World, mav
 
+from autopilot.run.session import link_rates
 from tests.lossy_link import LinkConditions, LossyLink
 
 BYTES_PER_S = 5760.0
@@ -33,7 +34,7 @@ class Line(LossyLink):
 
 
 def slow_world(*, greedy: bool) -> tuple[World, Client, Line]:
-    world = World(rates={0: BYTES_PER_S})
+    world = World(rates=link_rates(["/dev/ttyUSB0:57600"]))
     line = Line()
     client = world.client(from_vehicle=line)
     client.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
@@ -87,7 +88,7 @@ def test_all_streams_become_slower_together_and_the_list_arrives() -> None:
 
 
 def test_a_fast_link_is_not_slowed_down_by_a_slow_one() -> None:
-    world = World(rates={1: BYTES_PER_S}, links=(0, 1))
+    world = World(rates=link_rates(["udpin:127.0.0.1:14550", "/dev/ttyUSB0:57600"]), links=(0, 1))
     fast, slow = world.client(link=0), world.client(link=1)
     for client in (fast, slow):
         client.send(mav.MAVLink_command_long_message(1, 1, 511, 0, 30, 10_000, 0, 0, 0, 0, 0))

@@ -3,18 +3,20 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_harness import NAN, ORIGIN, Client, World, base_view, mav, nav_state
+from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state
 
+from autopilot.control.protocol import simple_output
 from autopilot.core.arming_reasons import ArmingReason, HealthComponent
 from autopilot.core.clock import TICK_US
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import GeodeticPosition
-from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, Severity, SolveStatus
+from autopilot.core.messages import Event, NavHealth, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import FlightMode
@@ -207,20 +209,8 @@ def test_a_link_that_opens_or_closes(world: World) -> None:
 def test_the_live_margin_is_sent_while_controlled(world: World, client: Client) -> None:
     world.run(3.0)
     assert not client.got("DEBUG_VECT"), "nothing is controlled yet"
-    world.view = base_view(
-        control=NmpcStatus(
-            t_us=0,
-            status=SolveStatus.OK,
-            fallback=Fallback.NONE,
-            iterations=1,
-            solve_s=0.001,
-            cost=1.0,
-            slack_max=0.0,
-            margin_m=0.25,
-            tube_m=0.0625,
-            penalty_use=0.5,
-        )
-    )
+    status = simple_output(0, nav_state(), np.zeros(4)).status
+    world.show(control=replace(status, margin_m=0.25, tube_m=0.0625, penalty_use=0.5))
     world.run(10.0)
     sent = client.got("DEBUG_VECT")
     assert len(sent) == pytest.approx(10, abs=1)
@@ -477,26 +467,7 @@ def test_file_transfer_of_what_is_not_there_is_declined_at_once(
     assert (data[4], data[12]) == ((1, error) if error else (0, 0))
 
 
-def test_there_are_no_logs_to_fetch(client: Client) -> None:
-    (entry,) = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.1)
-    assert (entry.num_logs, entry.last_log_num) == (0, 0)
-
-
 # Same input, same output
-
-
-def test_two_servers_say_the_same_bytes() -> None:
-    streams = []
-    for _ in range(2):
-        world = World()
-        client = world.client()
-        out: list[MavlinkFrame] = []
-        for n in range(300):
-            if n == 50:
-                client.send(mav.MAVLink_param_request_list_message(1, 1))
-            out += world.tick()
-        streams.append([(frame.link, frame.data) for frame in out])
-    assert streams[0] == streams[1]
 
 
 def test_a_server_needs_no_links_to_start() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -81,6 +82,7 @@ def test_laps_are_named_where_there_are_some() -> None:
     assert [(tour.laps, tour.closed, len(tour.waypoints)) for tour in laps] == [(3, True, 2), (5, False, 1)]
 
 
+@pytest.mark.long
 def test_two_laps_back_to_the_first_waypoint_pass_the_check(tmp_path: Path) -> None:
     """As the first hour has it: A-B-A-B, and no way home."""
     plan = tmp_path / "mine.plan"

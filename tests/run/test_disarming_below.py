@@ -129,8 +129,7 @@ def test_what_an_operator_disarms_is_disarmed_below_before_it_is_accepted(
         tank.session.parts.params.set("FS_BATT_LOW", 0.1)
 
 
-@pytest.mark.parametrize("wire", ["deaf", "mute", "cut"])
-@pytest.mark.parametrize("ours", ["disarmed", "armed"])
+@pytest.mark.parametrize(("ours", "wire"), [("disarmed", "mute"), ("armed", "deaf"), ("armed", "cut")])
 def test_what_is_not_confirmed_is_said_to_have_failed_and_is_asked_for_until_it_is(
     make: Callable[..., Watched], ours: str, wire: str
 ) -> None:

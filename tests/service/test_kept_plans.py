@@ -137,20 +137,6 @@ def test_without_a_whole_copy_there_is_no_plan_and_that_is_said(tmp_path: Path) 
         assert StateFile(path).damaged.read_bytes() == data
 
 
-def test_a_plan_that_is_wrong_today_leaves_none_behind(tmp_path: Path) -> None:
-    """The depth band has been changed meanwhile: the mission is not taken, and nothing is flown without it."""
-    path, before = _written(tmp_path)
-    parts = _parts(tmp_path)
-    parts.params.set("DEPTH_MAX", 0.2)
-    warnings = KeptPlans(path, parts.plans, parts.commander).load()
-    if parts.plans.items(PlanKind.MISSION):
-        assert parts.commander.arm(force=False).result != 0
-    else:
-        assert any("upload them again" in warning for warning in warnings)
-        assert not any(parts.plans.items(kind) for kind in PlanKind)
-    assert before.plans.items(PlanKind.MISSION)
-
-
 def test_plans_that_are_refused_today_are_set_aside_and_nothing_of_them_is_in_force(tmp_path: Path) -> None:
     """The origin was moved before they were kept: it is not in force without them either."""
     parts = _parts(tmp_path)

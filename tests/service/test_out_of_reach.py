@@ -63,6 +63,7 @@ def flown(tmp_path: Path, params: dict[str, float], duration_s: float) -> tuple[
     return [event.text for out in outputs for event in out.events], outputs[-1]
 
 
+@pytest.mark.long
 def test_a_goal_up_too_fast_a_stream_is_told_skipped_and_the_next_one_reached(tmp_path: Path) -> None:
     texts, last = flown(tmp_path, {}, 75.0)
     told = [

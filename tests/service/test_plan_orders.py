@@ -14,7 +14,7 @@ from autopilot.command.arming import CHECKING
 from autopilot.core import free_space
 from autopilot.core.background import BackgroundWorker, Cancel
 from autopilot.core.geodesy import GeodeticPosition
-from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.fence import fence_clearance_m
 from autopilot.mission.plan_check import judge
@@ -258,7 +258,11 @@ def test_an_armed_vehicle_keeps_a_fence_that_it_does_not_break() -> None:
         assert change.done
         taken = change.rejection is None
         assert (yard.plans.items(PlanKind.FENCE) is fence) == taken
-        return "" if change.rejection is None else change.rejection.reason
+        if change.rejection is None:
+            return ""
+        assert change.rejection.result == MissionResult.DENIED
+        assert change.rejection.reason.endswith("; FENCE_ARMED_CHG 1 allows it")
+        return change.rejection.reason
 
     north, east, _ = yard.pos
     around = circle(len(tank), north + 0.1, east, 0.3)

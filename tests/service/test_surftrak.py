@@ -75,7 +75,9 @@ def ridge(height_m: float, width_m: float = 1.0) -> Callable[[float], float]:
 
 
 @pytest.mark.parametrize(
-    ("height_m", "sonar"), [(0.35, False), (-0.35, False), (0.35, True)], ids=["ridge", "ditch", "by sonar"]
+    ("height_m", "sonar"),
+    [(0.35, False), pytest.param(-0.35, False, marks=pytest.mark.long), (0.35, True)],
+    ids=["ridge", "ditch", "by sonar"],
 )
 def test_the_height_is_held_over_a_floor_that_changes(height_m: float, sonar: bool) -> None:
     FloorWorld.sonar = sonar
@@ -92,6 +94,7 @@ def test_the_height_is_held_over_a_floor_that_changes(height_m: float, sonar: bo
     assert max(abs(z - 0.6) for z in np.array(world.track)[:, 2]) > 0.25, "the depth followed"
 
 
+@pytest.mark.long
 def test_depth_hold_over_the_same_ridge_does_not_follow() -> None:
     """What the test above shows is the mode's doing."""
     world = tracking(start=(-1.6, 0.5, 0.6, 0.0))

@@ -154,17 +154,6 @@ def test_jittering_arrivals_keep_their_order_and_their_stamps() -> None:
     assert abs(late).max() < 1_500  # 2 ms of jitter, averaged
 
 
-def test_same_seed_same_bytes() -> None:
-    def stream(seed: int) -> bytes:
-        emulator = device(AhrsSensor(), seed)
-        emulator.write(encode_continuous_mode(1))
-        for k in range(50):
-            emulator.observe(truth_at(t_us=10_000 * k))
-        return b"".join(data for _, data in emulator.read(10_000_000))
-
-    assert stream(1) == stream(1) != stream(2)
-
-
 def test_other_rates_are_kept_without_drift() -> None:
     emulator = device(AhrsSensor(rate_hz=160.0))
     times = []

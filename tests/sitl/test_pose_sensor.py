@@ -102,10 +102,3 @@ def test_random_gaps_are_as_frequent_and_as_long_as_declared() -> None:
     assert silent.mean() == pytest.approx(1.0 / 11.0, rel=0.15)
     quiet = OutageClock(Outages(), [], np.random.default_rng(2))
     assert not any(quiet.silent(t) for t in range(0, 10_000_000, 50_000))
-
-
-def test_same_seed_same_samples() -> None:
-    def numbers(seed: int) -> list[float]:
-        return [float(value) for sample in run(seed=seed, duration_s=2.0)[0] for value in sample.pos_ned_m]
-
-    assert numbers(1) == numbers(1) != numbers(2)

@@ -16,7 +16,6 @@ from system_harness import RunningService
 
 from autopilot.client.client_session import VehicleConnection
 from autopilot.client.exchange import Timers
-from autopilot.core.errors import AutopilotError
 from autopilot.core.messages import MavlinkFrame, Outputs, ProgressState
 from autopilot.core.own_python import python_command
 from autopilot.core.plan import PlanKind
@@ -58,17 +57,6 @@ def test_exchanges_and_watching_outlast_a_service_that_is_held(running: RunningS
         waker.join()
         assert not status.armed
         assert status.state is not ProgressState.COMPLETE
-
-
-def test_a_service_that_has_ended_is_named_at_once(service: Callable[..., RunningService]) -> None:
-    running = service("--duration", "1.0")
-    with (
-        pytest.raises(AutopilotError, match="the service ended with exit code 0"),
-        VehicleConnection(f"udpout:127.0.0.1:{running.port}", at_work=running.child.at_work) as session,
-    ):
-        session.connect()
-        while True:
-            session.poll(0.1)
 
 
 NEIGHBOURS = 2

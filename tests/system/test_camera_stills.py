@@ -1,6 +1,5 @@
 """The camera component and its stills: the real service, the simulated camera, a client of raw MAVLink."""
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -190,25 +189,6 @@ def test_sequences_by_time_end_by_count_and_by_order(session: OpenSession, tmp_p
     client.ask(harbour, 527, 1.0)
     (status,) = client.received("CAMERA_CAPTURE_STATUS")
     assert status.image_status == 0 and 5 <= status.image_count <= 7
-
-
-def test_the_same_run_gives_the_same_stills(session: OpenSession, tmp_path: Path) -> None:
-    def run(name: str) -> tuple[list[str], list[float]]:
-        client, log = CameraClient(), tmp_path / f"{name}.mcap"
-        flown = session(sensors="camera", peers=(client,), log=log)
-        harbour = Harbour(flown)
-        harbour.run(0.3)
-        client.ask(harbour, mav.MAV_CMD_IMAGE_START_CAPTURE, 0.0, 0.3, 4.0)
-        harbour.run(2.0)
-        flown.runtime.close()
-        flown.recorder.close()
-        found = open_log(log)
-        hashes = [hashlib.sha256(bytes(m.value["data"])).hexdigest() for m in found.messages("/payload/image")]
-        return hashes, found["/payload/still"]["pos_ned_m"].ravel().tolist()
-
-    first = run("one")
-    assert len(first[0]) == 4
-    assert first == run("two")
 
 
 def test_without_pictures_there_is_no_camera_and_nothing_hangs(session: OpenSession) -> None:

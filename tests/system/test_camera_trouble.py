@@ -34,6 +34,7 @@ def scenario_with(tmp_path: Path, turbidity: float, faults: str) -> str:
     return str(path)
 
 
+@pytest.mark.long
 def test_each_trouble_is_told_within_a_second_and_when_it_is_over(session: OpenSession, tmp_path: Path) -> None:
     faults, log = "", tmp_path / "run.mcap"
     for number, looks in enumerate(TROUBLES):

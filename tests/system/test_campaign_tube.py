@@ -1,12 +1,15 @@
 """Promises of plans against what the vehicle does."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from autopilot.campaign.tube_study import AHEAD_S, TubeCheck
-from autopilot.core.messages import ControlOutput, Fallback, NmpcStatus, SolveStatus
+from autopilot.control.protocol import simple_output
+from autopilot.core.messages import ControlOutput
+from tests.plan_items import nav
 
 ALL = AHEAD_S[-1]
 
@@ -15,21 +18,8 @@ def plan(t_s: float, places: list[tuple[float, float]], tube_m: list[float], **c
     """One node every 0.5 s, the first one after 0.1 s."""
     nominal = np.zeros((len(places), 8))
     nominal[:, :2] = places
-    status = NmpcStatus(
-        t_us=round(t_s * 1e6),
-        status=SolveStatus.OK,
-        fallback=Fallback.NONE,
-        iterations=1,
-        solve_s=0.0,
-        cost=0.0,
-        slack_max=0.0,
-        margin_m=0.0,
-    )
-    return ControlOutput(
-        thrust_n=np.zeros(4),
-        status=status,
-        horizon_ned_m=np.zeros((1, 3)),
-        route_ned_m=np.zeros((1, 2)),
+    return replace(
+        simple_output(round(t_s * 1e6), nav(0.0, 0.0, 0.0), np.zeros(4)),
         nominal=nominal,
         nominal_t_s=0.1 + 0.5 * np.arange(len(places)),
         tube_m=np.array(tube_m),

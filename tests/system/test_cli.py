@@ -332,6 +332,7 @@ def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:
     assert "J/m (1.00 times)" in done.out.splitlines()[0]
 
 
+@pytest.mark.long
 def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: Command, flown: Path) -> None:
     data = flown.read_bytes()
     flown.write_bytes(data[: len(data) // 2])

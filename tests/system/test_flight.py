@@ -45,6 +45,7 @@ def test_laps_without_a_broken_bound(
     assert broken == []
 
 
+@pytest.mark.long
 def test_the_complementary_observer_flies_the_lap(session: OpenSession, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     fly_to_the_end(

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import os
 import shutil
 import struct
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,10 +13,8 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession, sessions
 from wire_client import Harbour, WireClient
 
-from autopilot.client.client_session import VehicleConnection as ClientSession
 from autopilot.core.plan import PlanKind
 from autopilot.mission.paper import paper_plan
-from autopilot.run.children import Child, autopilot_command, free_port
 
 ARM = (400, 1.0)
 DENIED, ACCEPTED = mav.MAV_RESULT_DENIED, mav.MAV_RESULT_ACCEPTED
@@ -205,55 +199,3 @@ def test_a_line_that_is_not_taken_is_a_loss_and_stays_until_it_is_accepted(
     vehicle.session.close()
     assert "deep" not in path.read_text()
     assert Vehicle(session).arm() == ACCEPTED
-
-
-@contextlib.contextmanager
-def read_only(folder: Path) -> Iterator[None]:
-    """``folder`` on a read-only file system, its files as they are. Only root may do that, not in every container."""
-    kept = folder.with_name("kept")
-    shutil.copytree(folder, kept)
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("no file system may be mounted here")
-    try:
-        shutil.copytree(kept, folder, dirs_exist_ok=True)
-        subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
-        yield
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-@pytest.mark.usefixtures("prepared")
-def test_a_service_on_a_read_only_disk_has_what_it_had_and_says_why_it_does_not_arm(
-    session: OpenSession, tmp_path: Path
-) -> None:
-    """The real process on a real file system."""
-    port = free_port()
-    command = autopilot_command(
-        *("sitl", "paper-tank", "--quiet", "--sensors", "pose", "--speed", "1", "--keep-plans"),
-        *("--connect", f"udpin:127.0.0.1:{port}"),
-    )
-    places = {"AUTOPILOT_STATE_DIR": str(tmp_path / "state"), "AUTOPILOT_LOG_DIR": str(tmp_path / "logs")}
-    with read_only(tmp_path / "state"):
-        child = Child(command, places)
-        try:
-            with ClientSession(f"udpout:127.0.0.1:{port}", at_work=child.at_work) as client:
-                client.connect(60.0)
-                assert len(client.download(PlanKind.FENCE)) == len(paper_plan().fence)
-                client.send(mav.MAVLink_param_request_read_message(1, 1, b"SPD_CRUISE", -1))
-                texts, value, refused = "", 0.0, False
-                while not (refused and value and "read-only" in texts):
-                    assert child.at_work()
-                    assert (child.cpu_s() or 0.0) < 60.0, (texts, value, refused)
-                    client.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
-                    for message in client.poll():
-                        if message.get_type() == "PARAM_VALUE" and message.param_id == "SPD_CRUISE":
-                            value = message.param_value
-                        elif message.get_type() == "STATUSTEXT":
-                            texts += message.text
-                        elif message.get_type() == "COMMAND_ACK" and message.command == 400:
-                            assert message.result != ACCEPTED
-                            refused |= message.result == DENIED
-                assert value == pytest.approx(0.30)
-        finally:
-            assert child.end() == 0

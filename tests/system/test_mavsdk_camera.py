@@ -20,6 +20,7 @@ def _until(service: RunningService, done: Callable[[], Any]) -> Any:
     return found
 
 
+@pytest.mark.long
 def test_photos_refusals_and_a_gimbal_that_is_not_there(service: Callable[..., RunningService]) -> None:
     running = service("--sensors", "camera", speed=1.0)
     mavsdk.log_subscribe(lambda *args: True)

@@ -115,32 +115,6 @@ def test_a_paused_mission_does_not_go_on_when_its_fence_has_changed(harbour: Ope
     assert made.command(client, PAUSE_CONTINUE, 1.0) == ACCEPTED
 
 
-def test_an_armed_vehicle_keeps_its_fence(harbour: Open) -> None:
-    made, client = harbour(FENCE_GAP_CHK=0.0)
-    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
-    assert made.command(client, ARM, 1.0) == ACCEPTED
-    assert made.command(client, START) == ACCEPTED
-    made.run(1.0)
-    commander, plans = made.session.parts.commander, made.session.parts.plans
-    in_force = plans.items(PlanKind.FENCE)
-    north, east, _ = made.session.service.nav.pos_ned_m  # type: ignore[union-attr]
-    at_vehicle = PlanItem(seq=4, frame=1, command=5004, param1=0.2, x=round(north * 1e4), y=round(east * 1e4))
-    for fence in ((), (*PLAN.fence[:4], at_vehicle), (*PLAN.fence[:4], replace(PLAN.fence[4], param1=1.0))):
-        assert made.offer(client, PlanKind.FENCE, fence) == MissionResult.DENIED
-        (text,) = client.texts()
-        assert text.startswith("Fence refused: ") and "FENCE_ARMED_CHG 1 allows it" in text
-        assert plans.items(PlanKind.FENCE) is in_force
-    for kind in (int(PlanKind.FENCE), 255):
-        client.inbox.clear()
-        client.send(mav.MAVLink_mission_clear_all_message(1, 1, kind))
-        made.until(lambda: bool(client.received("MISSION_ACK")))
-        assert client.received("MISSION_ACK")[0].type == MissionResult.DENIED
-        made.run(0.1)
-        assert client.texts()[0].startswith("Not cleared (")
-    assert plans.items(PlanKind.FENCE) is in_force and plans.items(PlanKind.MISSION)
-    assert commander.armed and commander.mode.name == "MISSION"
-
-
 def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
     harbour: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,21 +139,3 @@ def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
     assert [m.type for m in client.received("MISSION_ACK")] == [MissionResult.ACCEPTED] * 2, (
         "said again when asked again"
     )
-
-
-def test_a_wall_between_the_vehicle_and_the_first_place_forbids_arming_and_starting(harbour: Open) -> None:
-    """It once armed, started, and held for want of a path."""
-    made, client = harbour()
-    mission = tuple(replace(INTO_THE_PILLAR, seq=k, x=17500, y=6000 * k) for k in range(2))
-    corners = ((-500, -16000), (500, -16000), (500, 16000), (-500, 16000))
-    wall = tuple(PlanItem(seq=4 + k, frame=1, command=5002, param1=4.0, x=x, y=y) for k, (x, y) in enumerate(corners))
-    assert not _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], *wall)), (PlanKind.MISSION, mission))
-    made.run(1.1)
-    assert made.command(client, ARM, 1.0) == DENIED
-    assert client.texts()[0].startswith(
-        "Arming denied: plan: no free path from the vehicle to item 0 (QGC 1): move the vehicle"
-    )
-    assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
-    assert set(_every_way_to_start(made, client).values()) == {DENIED}
-    assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
-    assert made.command(client, START) == ACCEPTED

@@ -1,9 +1,5 @@
 """At a speed the loop waits for nobody, not for the detector and not for the disk: here they wait for the loop."""
 
-import os
-import resource
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +13,6 @@ from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.log import writer
 from autopilot.log.reader import open_log
-from autopilot.run.children import free_port
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
@@ -162,22 +157,3 @@ def test_a_log_folder_that_is_gone_is_said_at_once_and_tried_again(tmp_path: Pat
     (path,) = sorted(logs.rglob("*.mcap"))
     assert open_log(path)["/sys/mode"]["t_us"][0] * 1e-6 == pytest.approx(4.0, abs=0.05)
     assert session.recorder.failure is not None
-
-
-def _limit_files() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
-
-
-@pytest.mark.skipif(os.name != "posix", reason="limits the size of files as POSIX does")
-def test_a_disk_that_is_full_ends_the_log_and_not_the_run(tmp_path: Path) -> None:
-    """The limit stands for the disk: the first write beyond it fails for the real process."""
-    command = [sys.executable, "-m", "autopilot", "sitl", "--speed", "0", "--sensors", "pose", "--duration", "6"]
-    command += ["--connect", f"udpin:127.0.0.1:{free_port()}", "--log", str(tmp_path / "a.mcap")]
-    # The limit holds for bytecode, too: half of a module would be kept for later tests.
-    environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path / "state"), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, preexec_fn=_limit_files, check=False
-    )
-    assert done.returncode == 3, done.stderr
-    assert "6.0 s simulated" in done.stdout
-    assert "warning: the log is not whole" in done.stderr

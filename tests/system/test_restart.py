@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.client_session import VehicleConnection
@@ -68,6 +69,7 @@ def rally() -> tuple[PlanItem, ...]:
     return (PlanItem(seq=0, frame=first.frame, command=mav.MAV_CMD_NAV_RALLY_POINT, x=first.x, y=first.y, z=first.z),)
 
 
+@pytest.mark.long
 def test_a_killed_service_comes_up_with_what_it_had(tmp_path: Path) -> None:
     plan = paper_plan(laps=500)
     plans = {PlanKind.FENCE: plan.fence, PlanKind.MISSION: plan.mission, PlanKind.RALLY: rally()}

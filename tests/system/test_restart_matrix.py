@@ -1,7 +1,7 @@
 """State, medium and end: what a vehicle has acknowledged holds after it, and nothing recorded before is obeyed.
 
 The service runs in this process in its own time, on a real folder; a kill is a copy of that folder at that moment.
-Killed processes: tests/system/test_restart.py and test_restart_armed.py.
+Killed processes: tests/system/test_restart.py; found armed after one: tests/run/test_disarming_below.py.
 """
 
 from __future__ import annotations

@@ -214,6 +214,7 @@ def judged_again(room: RandomWorld, flown: Flown) -> WorldResult:
     return judge_flight(room, prospect(room), 1, flown.watch, flown.end)
 
 
+@pytest.mark.long
 def test_a_room_is_flown_to_its_end(flown: tuple[RandomWorld, Flown]) -> None:
     result = flown[1].result
     assert result.outcome is WorldOutcome.REACHED

@@ -119,15 +119,6 @@ def test_command(flown: Path) -> None:
     assert "300 ticks" in done.output and "all the same" in done.output
 
 
-def test_a_log_that_breaks_off_is_replayed_until_there(flown: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(flown.read_bytes()[: int(0.6 * flown.stat().st_size)])
-    done = CliRunner().invoke(cli, ["log", "replay", str(cut)])
-    assert done.exit_code in (1, 3), done.output
-    if done.exit_code == 1:
-        assert "service.json" in str(done.exception or done.output)
-
-
 def test_only_what_was_compared_is_counted(flown: Path, tmp_path: Path) -> None:
     log = open_log(flown)
     log["/in/tick"]["samples"][150] -= 1
@@ -143,15 +134,7 @@ def test_a_cut_log_replayed_by_the_estimator_alone_is_told(flown: Path, tmp_path
     assert done.exit_code == 3 and "cut off" in done.stderr and "replayed is what comes before" in done.stderr
 
 
-def test_logs_that_cannot_be_replayed_are_named(flown: Path, tmp_path: Path) -> None:
-    empty = tmp_path / "empty.mcap"
-    empty.write_bytes(b"")
-    foreign = tmp_path / "foreign.mcap"
-    foreign.write_bytes(b"\x89PNG\r\n" + bytes(500))
-    for path in (empty, foreign, tmp_path / "none.mcap"):
-        with pytest.raises(LogError, match=path.name):
-            replayed(open_log(path))
-
+def test_logs_that_cannot_be_replayed_are_named(flown: Path) -> None:
     def without(name: str, data: bytes | None = None) -> Log:
         log = open_log(flown)
         attachments = dict(log.attachments)

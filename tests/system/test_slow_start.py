@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.live_service import Station
@@ -73,6 +74,7 @@ def of_kind(*names: str) -> Any:
     return lambda message: message.get_type() in names
 
 
+@pytest.mark.long
 def test_a_vehicle_says_what_it_is_however_long_it_takes_to_start(tmp_path: Path) -> None:
     """QGroundControl's first questions, under a shower of messages that nobody wants; its beats go on all the while."""
     rng = random.Random(1)

@@ -19,6 +19,7 @@ def _said(log: Log) -> list[str]:
     return [text for text in (message.value["msg"] for message in log.messages("/rosout")) if "olver" in text]
 
 
+@pytest.mark.long
 def test_both_solvers_fly_the_same_way(session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [_flown(session, tmp_path / "as_installed.mcap")]
     monkeypatch.setenv(compiled.SWITCH, compiled.OFF)

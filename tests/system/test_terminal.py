@@ -1,7 +1,5 @@
 """What a terminal is shown and a pipe is not: colours, bars; and what NO_COLOR keeps away from both."""
 
-import json
-import math
 import os
 import pty
 import re
@@ -12,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 from autopilot.cli.campaign import campaign
-from autopilot.cli.console_output import emit_json
 from autopilot.cli.main import cli
 
 SAID = """
@@ -89,8 +86,3 @@ def test_help_lines_say_one_thing_each() -> None:
     names = [line.split()[0] for line in listed if re.match(r"^  \w", line)]
     assert names == sorted(names) and {"demo", "sitl", "run", "log", "mission"} <= set(names)
     assert len([line for line in listed if line.strip()]) <= 1.3 * len(names) and "..." not in "".join(listed)
-
-
-def test_json_has_null_for_what_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
-    emit_json({"a": math.inf, "b": [1.0, (math.nan,)]})
-    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {"a": None, "b": [1.0, [None]]}

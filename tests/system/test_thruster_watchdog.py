@@ -122,14 +122,16 @@ def test_nobody_arms_before_the_watchdog_has_answered(flight: Flight, monkeypatc
     flight.until(lambda: "watchdog" not in flight.refusals(), 30.0)
 
 
-def test_a_killed_watchdog_is_told_once_and_replaced(flight: Flight) -> None:
+@pytest.mark.parametrize(("number", "problem"), [(signal.SIGKILL, "has ended"), (signal.SIGSTOP, "hangs")])
+def test_a_watchdog_that_ends_or_hangs_is_told_once_and_replaced(flight: Flight, number: int, problem: str) -> None:
     flight.arm()
-    first = flight.pid
-    os.kill(first, signal.SIGKILL)
-    flight.until(lambda: "Thruster watchdog failed: has ended" in flight.texts, 30.0)
+    first, text = flight.pid, f"Thruster watchdog failed: {problem}"
+    os.kill(first, number)
+    flight.until(lambda: text in flight.texts, 30.0)
     flight.until(lambda: "Thruster watchdog: working again" in flight.texts, 90.0)
+    until(lambda: gone(first))
     assert flight.alive and flight.pid != first
-    assert flight.texts.count("Thruster watchdog failed: has ended") == 1
+    assert flight.texts.count(text) == 1
     assert flight.session.parts.commander.armed
 
 
@@ -148,25 +150,3 @@ def test_a_watchdog_that_ends_again_and_again_is_a_failsafe_and_no_storm(
     assert flight.texts.count("Failsafe: thruster watchdog has ended: surface") == 1
     assert flight.session.parts.commander.disarm(force=False).result is CommandResult.ACCEPTED
     flight.until(lambda: "thruster watchdog has ended: restart the service" in flight.refusals(), 30.0)
-
-
-def test_a_stopped_watchdog_is_found_and_replaced(flight: Flight) -> None:
-    flight.arm()
-    first = flight.pid
-    os.kill(first, signal.SIGSTOP)
-    flight.until(lambda: "Thruster watchdog failed: hangs" in flight.texts, 30.0)
-    flight.until(lambda: flight.alive, 90.0)
-    until(lambda: gone(first))
-    assert flight.pid != first
-
-
-def test_without_a_python_to_start_it_nobody_arms_and_the_reason_is_said(
-    flight: Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as without:
-        without.setattr("sys.executable", "/nowhere/python")
-        text = "Thruster watchdog failed: cannot be started (No such file or directory)"
-        flight.until(lambda: text in flight.texts, 60.0)
-        flight.session.parts.commander.set_mode(FlightMode.MANUAL)
-        flight.until(lambda: "thruster watchdog cannot be started" in flight.refusals(), 30.0)
-    flight.arm()

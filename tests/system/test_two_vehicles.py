@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 
 from autopilot.core.messages import Severity
@@ -74,6 +75,7 @@ def least_distance_m(folder: Path) -> tuple[float, list[str]]:
     return least_m, [next((text for text in texts if text.startswith("Mission complete")), "") for texts in said]
 
 
+@pytest.mark.long
 def test_two_vehicles_pass_each_other_in_the_papers_tank(tmp_path: Path) -> None:
     least_m, ends = least_distance_m(tmp_path)
     assert least_m > 2.0 * BODY_M

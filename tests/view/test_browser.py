@@ -110,15 +110,3 @@ def test_a_tab_that_was_frozen_wakes_grey_and_goes_on_with_the_present(tmp_path:
         woken = page.ask(f"window.noted.slice({before})")
         assert woken[0][0] > 9 and woken[0][1] == "age old", woken[:5]
         assert page.errors == []
-
-
-def test_what_is_pressed_is_done(flight: Run) -> None:
-    with browser.page(browser.found()) as page:
-        page.size(1200, 800)
-        page.open(f"http://127.0.0.1:{flight.port}/")
-        page.wait("document.getElementById('armed')?.textContent")
-        page.ask("document.getElementById('pause').click()")
-        page.wait("document.getElementById('clock').textContent.includes('paused')")
-        page.ask("document.getElementById('pause').click()")
-        page.wait("!document.getElementById('clock').textContent.includes('paused')")
-        assert page.errors == []
