@@ -10,7 +10,7 @@ from control_loop import rk4
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.analysis.estimates import estimate_of
+from autopilot.analysis.nmpc_flight import estimate_of
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.filtered_motion import Waves
 from autopilot.control.thrust.thruster_health import ThrusterHealth, configured_effectiveness, hover_problem, usable
