@@ -261,8 +261,9 @@ class AidedEstimator(Estimator):
         now_us = self._fusion.now_us
         own = isinstance(given, AhrsSample)
         sample = given if isinstance(given, AhrsSample) else self._attitude.attitude(given)
-        if self._ahrs_offset_us:
-            sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
+        later_us = self._ahrs_offset_us - self._recalibration.inertial_late_us
+        if later_us:
+            sample = replace(sample, t_us=sample.t_us + later_us)
         newest_us = self._recent[-1].t_us if self._recent else -1
         self._ahrs_ages_us.append(now_us - sample.t_us)
         if not self._validator.let_in(sample, now_us, newest_us):

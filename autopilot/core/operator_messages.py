@@ -147,7 +147,13 @@ AHRS_ATTITUDE_FROZEN = _warning(
 AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_OFF = _warning(
-    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
+    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency",
+    "Images disagree with the gyro in time. If early, the AHRS may be late.",
+)
+AHRS_LATE = _warning(
+    "AHRS stamps {late_ms:.0f} ms late: set ahrs.time_offset_s",
+    "Fixes would be of the future otherwise; corrected in flight.",
+    "Check its line for a delay; enter a constant one as negative `time_offset_s`.",
 )
 FOCAL_LENGTH_OFF = _warning(
     "Focal length {percent:.1f} % too {what}: recalibrate camera", "The markers' images fit another lens better."
