@@ -129,6 +129,8 @@ class AidedEstimator(Estimator):
         """Of the last samples on arrival: by a slow link they come late, and are not missing."""
         self._anchored_since_us: int | None = None
         self._rhythm = FixRhythm()
+        self._fix_rhythm = FixRhythm(round(1e6 * ENGINE.coast_rhythms * options.dead_reckoning_after_s))
+        """Of fixes alone: whether the estimate is dead reckoning."""
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
@@ -163,6 +165,7 @@ class AidedEstimator(Estimator):
             core,
             self._sources.position_age_us(t_us),
             self._options,
+            usual_us=self._fix_rhythm.coast_after_us,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             blind=not newest.moment.inertial.real
             and (self._ahrs_us is None or t_us - self._ahrs_us > ENGINE.blind_after_us),
@@ -316,7 +319,9 @@ class AidedEstimator(Estimator):
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
         drift = self._sources.velocity.drift
-        if self._sources.position_age_us(inertial.t_us) <= self._rhythm.alone_after_us:
+        fix_age_us = self._sources.position_age_us(inertial.t_us)
+        self._fix_rhythm.note(fix_age_us)
+        if fix_age_us <= self._rhythm.alone_after_us:
             drift.fixed(inertial.t_us, x)
         elif anchored:
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))

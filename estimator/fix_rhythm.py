@@ -12,7 +12,9 @@ class FixRhythm:
     a gap among pictures.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest_us: int = ENGINE.longest_rhythm_us) -> None:
+        """``longest_us``: no longer age is taken for the usual one."""
+        self._longest_us = longest_us
         self._ages_us: deque[int] = deque(maxlen=ENGINE.rhythms_kept)
         self._last_us = 0
         self.alone_after_us = ENGINE.alone_after_us
@@ -21,7 +23,7 @@ class FixRhythm:
     def note(self, age_us: int) -> None:
         """``age_us``: since the newest fix or velocity over ground that has been used, at every node."""
         if age_us < self._last_us:
-            self._ages_us.append(min(self._last_us, ENGINE.longest_rhythm_us))
+            self._ages_us.append(min(self._last_us, self._longest_us))
             usual_us = sorted(self._ages_us)[len(self._ages_us) // 2]
             self.alone_after_us = max(ENGINE.alone_after_us, round(ENGINE.alone_rhythms * usual_us))
             self.coast_after_us = max(ENGINE.coast_after_us, round(ENGINE.coast_rhythms * usual_us))
