@@ -178,6 +178,8 @@ class EngineTuning:
     """of which no more is believed: two fixes a second, with 0.3 s of latency."""
     rhythms_kept: int = 5
     """Their median is the usual one: a gap or two change nothing."""
+    frozen_readings: int = 5
+    """Equal readings of a pressure sensor or velocity log after the first one: the next are of no use, at rest too."""
     tracked_us: int = 1_000_000
     """Largest age of a velocity over ground for dead reckoning."""
     redriven_us: int = 800_000
