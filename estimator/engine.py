@@ -212,7 +212,8 @@ class AidedEstimator(Estimator):
 
     def take_remarks(self) -> tuple[str, ...]:
         texts = (text for monitor in self._monitors.all for text in monitor.take_texts())
-        return (*self._attitude.take_texts(), *self._sources.velocity.take_texts(), *texts)
+        sources = self._sources
+        return (*self._attitude.take_texts(), *sources.velocity.take_texts(), *sources.markers.take_texts(), *texts)
 
     @property
     def refined_map(self) -> MarkerMap | None:

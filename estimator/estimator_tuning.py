@@ -408,6 +408,9 @@ class MarkersPoseTuning:
     """Votes for the camera's place agree within these (position, heading, share of the height)."""
     similar: float = 0.15
     """A quadrilateral may differ from the marker's square by this share of its side, else it is not a marker."""
+    nowhere_markers: int = 3
+    nowhere_pictures: int = 90
+    """So many markers of the map in each of so many pictures in a row, which are nowhere on it, are no accident."""
     reject_sigmas: float = 3.0
     reject_floor_px: float = 1.0
     """A marker with a corner further than this from its projection is left out."""

@@ -188,6 +188,11 @@ MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Ad
 MARKER_OFF = _warning(
     "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
 )
+MARKERS_NOWHERE = _warning(
+    "Markers in view do not fit the map: check size_m",
+    "Several of its ids in each of 90 pictures, and no pose from which they look like that.",
+    "Measure a black square and the distance of two markers; check that it is the map of this floor.",
+)
 PRINT_OFF = _warning(
     "Markers are printed {percent:.1f} % {what} than in the map", "", "Measure a black square, correct size_m."
 )
