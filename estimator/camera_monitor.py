@@ -113,6 +113,7 @@ class CameraMonitor(Monitor):
         self._tilted_us: int | None = None
         self._tilt_reported = False
         self._late_reported_s: float | None = None
+        self._inertial_reported_s = 0.0
         self._lens_reported = self._lens_doubted = False
         self._pictures = False
         self._lens = _Average(keep=1.0 - 1.0 / CAMERA_MONITOR.forget_estimates)
@@ -184,6 +185,10 @@ class CameraMonitor(Monitor):
         late_s = self.stamps.late_s
         jumped_s, reported_s = self.stamps.jumped_s, self._late_reported_s
         sure = 0.0 < self.stamps.sigma_s < CAMERA_MONITOR.late_fraction * max(abs(late_s), 2.0 * CAMERA_MONITOR.late_s)
+        inertial_s = self.stamps.inertial_late_s
+        if abs(inertial_s - self._inertial_reported_s) >= CAMERA_MONITOR.late_s:
+            self._inertial_reported_s = inertial_s
+            self._texts.append(notices.AHRS_LATE(late_ms=1e3 * inertial_s).text)
         if jumped_s:
             if abs(jumped_s) >= max(CAMERA_MONITOR.late_s, CAMERA_MONITOR.jump_sigmas * self.stamps.sigma_s):
                 self.stamps.jumped_s, self._late_reported_s = 0.0, late_s

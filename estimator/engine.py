@@ -85,7 +85,9 @@ class FixRhythm:
     a gap among pictures.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest_us: int = ENGINE.longest_rhythm_us) -> None:
+        """``longest_us``: no longer age is taken for the usual one."""
+        self._longest_us = longest_us
         self._ages_us: deque[int] = deque(maxlen=ENGINE.rhythms_kept)
         self._last_us = 0
         self.alone_after_us = ENGINE.alone_after_us
@@ -94,7 +96,7 @@ class FixRhythm:
     def note(self, age_us: int) -> None:
         """``age_us``: since the newest fix or velocity over ground that has been used, at every node."""
         if age_us < self._last_us:
-            self._ages_us.append(min(self._last_us, ENGINE.longest_rhythm_us))
+            self._ages_us.append(min(self._last_us, self._longest_us))
             usual_us = sorted(self._ages_us)[len(self._ages_us) // 2]
             self.alone_after_us = max(ENGINE.alone_after_us, round(ENGINE.alone_rhythms * usual_us))
             self.coast_after_us = max(ENGINE.coast_after_us, round(ENGINE.coast_rhythms * usual_us))
@@ -151,6 +153,8 @@ class AidedEstimator(Estimator):
         """Of the last samples on arrival: by a slow link they come late, and are not missing."""
         self._anchored_since_us: int | None = None
         self._rhythm = FixRhythm()
+        self._fix_rhythm = FixRhythm(round(1e6 * ENGINE.coast_rhythms * options.dead_reckoning_after_s))
+        """Of fixes alone: whether the estimate is dead reckoning."""
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
@@ -185,6 +189,7 @@ class AidedEstimator(Estimator):
             core,
             self._sources.position_age_us(t_us),
             self._options,
+            usual_us=self._fix_rhythm.coast_after_us,
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             blind=not newest.moment.inertial.real
             and (self._ahrs_us is None or t_us - self._ahrs_us > ENGINE.blind_after_us),
@@ -231,7 +236,8 @@ class AidedEstimator(Estimator):
 
     def take_remarks(self) -> tuple[str, ...]:
         texts = (text for monitor in self._monitors.all for text in monitor.take_texts())
-        return (*self._attitude.take_texts(), *self._sources.velocity.take_texts(), *texts)
+        sources = self._sources
+        return (*self._attitude.take_texts(), *sources.velocity.take_texts(), *sources.markers.take_texts(), *texts)
 
     @property
     def refined_map(self) -> MarkerMap | None:
@@ -283,8 +289,9 @@ class AidedEstimator(Estimator):
         now_us = self._fusion.now_us
         own = isinstance(given, AhrsSample)
         sample = given if isinstance(given, AhrsSample) else self._attitude.attitude(given)
-        if self._ahrs_offset_us:
-            sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
+        later_us = self._ahrs_offset_us - self._recalibration.inertial_late_us
+        if later_us:
+            sample = replace(sample, t_us=sample.t_us + later_us)
         newest_us = self._recent[-1].t_us if self._recent else -1
         self._ahrs_ages_us.append(now_us - sample.t_us)
         if not self._validator.let_in(sample, now_us, newest_us):
@@ -337,7 +344,9 @@ class AidedEstimator(Estimator):
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
         drift = self._sources.velocity.drift
-        if self._sources.position_age_us(inertial.t_us) <= self._rhythm.alone_after_us:
+        fix_age_us = self._sources.position_age_us(inertial.t_us)
+        self._fix_rhythm.note(fix_age_us)
+        if fix_age_us <= self._rhythm.alone_after_us:
             drift.fixed(inertial.t_us, x)
         elif anchored:
             step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))

@@ -194,6 +194,8 @@ class EngineTuning:
     """of which no more is believed: two fixes a second, with 0.3 s of latency."""
     rhythms_kept: int = 5
     """Their median is the usual one: a gap or two change nothing."""
+    frozen_readings: int = 5
+    """Equal readings of a pressure sensor or velocity log after the first one: the next are of no use, at rest too."""
     tracked_us: int = 1_000_000
     """Largest age of a velocity over ground for dead reckoning."""
     redriven_us: int = 800_000
@@ -422,6 +424,9 @@ class MarkersPoseTuning:
     """Votes for the camera's place agree within these (position, heading, share of the height)."""
     similar: float = 0.15
     """A quadrilateral may differ from the marker's square by this share of its side, else it is not a marker."""
+    nowhere_markers: int = 3
+    nowhere_pictures: int = 90
+    """So many markers of the map in each of so many pictures in a row, which are nowhere on it, are no accident."""
     reject_sigmas: float = 3.0
     reject_floor_px: float = 1.0
     """A marker with a corner further than this from its projection is left out."""

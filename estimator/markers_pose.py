@@ -121,6 +121,10 @@ class MarkerSolver:
         self._formed = sighting
         return True
 
+    def known_in(self, sighting: MarkerSighting) -> int:
+        """Number of its markers whose ids are on the map."""
+        return sum(i in self._by_id for i in sighting.ids)
+
     def track(
         self,
         sighting: MarkerSighting,

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.samples import MarkerSighting, PoseSample
 from autopilot.estimator.estimator_tuning import MARKERS_POSE, PNP
 from autopilot.estimator.fix_aid import FixAid
@@ -13,13 +14,14 @@ from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_pose import PoseFix, fix_from_sample
 from autopilot.estimator.pictures import Pictures
-from autopilot.estimator.states import POS, VEL, YAW
+from autopilot.estimator.remarks import Remarks
+from autopilot.estimator.states import POS, VEL, YAW, SheetStates
 
 LOST_AFTER = 3
 """Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
 
 
-class MarkersAid(FixAid[PoseSample | MarkerSighting]):
+class MarkersAid(Remarks, FixAid[PoseSample | MarkerSighting]):
     """Camera and map, or a pose sensor."""
 
     sensor = "markers"
@@ -27,9 +29,14 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
     of_pictures = True
 
     def __init__(self, pictures: Pictures) -> None:
-        super().__init__()
+        Remarks.__init__(self)
+        FixAid.__init__(self)
         self._pictures = pictures
         self._unfit_in_row = 0
+        self._unlocated = 0
+        """Pictures in a row of several markers of the map that are nowhere on it."""
+        self._reported_at = -1
+        """Number of fixes that had been used when that was reported."""
 
     @property
     def offset_us(self) -> int:
@@ -39,7 +46,7 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
         if isinstance(sample, PoseSample):
             return self.counted(fix_from_sample(sample, self.sensor))
         solver = self._solver_of(sample)
-        return None if solver is None else self._kept(solver.locate(sample, inertial.roll_rad, inertial.pitch_rad))
+        return None if solver is None else self._kept(self._located(sample, solver, inertial))
 
     def fix(self, sample: PoseSample | MarkerSighting, node: Node) -> PoseFix | None:
         if isinstance(sample, PoseSample):
@@ -76,9 +83,24 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
         self._unfit_in_row = 0 if fits else self._unfit_in_row + 1
         lost = self._unfit_in_row > LOST_AFTER
         if lost:
-            fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets) or fix
+            fix = self._located(sighting, solver, inertial, *sheets) or fix
         if fix is None:
             self.counts["rejected"] += 1
+        return fix
+
+    def _located(
+        self, sighting: MarkerSighting, solver: MarkerSolver, inertial: Inertial, *sheets: SheetStates
+    ) -> PoseFix | None:
+        """Pose by a search over the whole floor. That the map is another floor's, or its sizes are wrong, is reported
+        once until a fix is used."""
+        fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets)
+        if fix is not None:
+            self._unlocated = 0
+        elif solver.known_in(sighting) >= MARKERS_POSE.nowhere_markers:
+            self._unlocated += 1
+            if self._unlocated >= MARKERS_POSE.nowhere_pictures and self._reported_at != self.counts["fused"]:
+                self._reported_at = self.counts["fused"]
+                self._texts.append(notices.MARKERS_NOWHERE().text)
         return fix
 
     def _kept(self, fix: PoseFix | None) -> PoseFix | None:

@@ -16,7 +16,7 @@ class EstimatorOptions:
     gps: bool = True
     """False: fixes of GPS are passed over. The observer always does: it cannot find a velocity by fixes of metres."""
     dead_reckoning_after_s: float = 1.0
-    """Time without a fix after which the estimate is called dead reckoning."""
+    """Time without a fix after which the estimate is called dead reckoning; of a slow source (1 Hz) more."""
     invalid_after_s: float = 5.0
     """Time without a fix after which the estimate is called invalid, unless the velocity over ground is measured."""
     watch_tilt: bool = True

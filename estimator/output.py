@@ -98,19 +98,20 @@ def judge_health(
     fix_age_us: int,
     options: EstimatorOptions,
     *,
+    usual_us: int,
     tracked: bool,
     blind: bool,
     doubted: bool,
 ) -> NavHealth:
     """Good, dead reckoning (no fix or no AHRS for a while), or invalid.
 
-    ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning.
-    ``blind``: no AHRS sample has come for a while. ``doubted``: the evidence is against the estimate, or against a
-    sensor that it now lives on."""
+    ``usual_us``: a fix of this age is none too late for the source. ``tracked``: the velocity over ground is being
+    measured, so that only the growing variance ends the reckoning. ``blind``: no AHRS sample has come for a while.
+    ``doubted``: the evidence is against the estimate, or against a sensor that it now lives on."""
     age_s = 1e-6 * fix_age_us
     timed_out = age_s > options.invalid_after_s and not tracked
     if timed_out or core.planar_variance(node.state) > options.sigma_limit_m**2:
         return NavHealth.INVALID
-    if doubted or age_s > options.dead_reckoning_after_s or blind:
+    if doubted or age_s > max(options.dead_reckoning_after_s, 1e-6 * usual_us) or blind:
         return NavHealth.DEAD_RECKONING
     return NavHealth.GOOD

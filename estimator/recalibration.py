@@ -26,12 +26,19 @@ class Recalibration:
         """Focal and distortion error that pictures are read with,"""
         self._print = 0.0
         """and error of the printed size."""
+        self.inertial_late_us = 0
+        """What is to be taken off the stamps of the inertial sensors."""
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled", "print.rescaled"), 0)
 
     def retime(self) -> None:
         """If images are found to be stamped late, correct later stamps and carry the estimate, which has followed
-        delayed images, forward.
+        delayed images, forward. If inertial sensors are, images have led the estimate to the right place, and only what
+        was found with their old stamps is forgotten.
         """
+        inertial_late_us = round(1e6 * self._camera.stamps.inertial_late_s)
+        if inertial_late_us != self.inertial_late_us:
+            self.inertial_late_us = inertial_late_us
+            self._carry(np.zeros(4), np.zeros(3))
         pictures = self._sources.pictures
         late_us = round(1e6 * self._camera.stamps.late_s)
         more_us = late_us - pictures.late_us

@@ -40,6 +40,8 @@ class StampMonitor:
         """By which stamps are late as far as is known: what is to be taken off."""
         self.sigma_s = 0.0
         """Its standard deviation; 0 = nothing has been found."""
+        self.inertial_late_s = 0.0
+        """By which stamps of the inertial sensors are late: fixes would come from the future otherwise."""
         self._imu: deque[tuple[int, float, float, float]] = deque()
         self._fixes: deque[tuple[int, float, float, float, float, float]] = deque()
         self._usual_heading, self._usual_place = _Usual(), _Usual()
@@ -139,6 +141,9 @@ class StampMonitor:
         settled = self._usual_heading.count >= STAMP_MONITOR.settled_count
         sudden = settled and _against(window, self.late_s) > STAMP_MONITOR.sure
         changed = self._judge(cost)
+        if changed and self._inertial_are_off(before_s):
+            self._correct_inertial()
+            return True
         if fresh == 1.0 and (changed or not sudden):  # evidence that may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_MONITOR.forget_s) if self._last_us else 0.0
             self._old = keep * (self._old + self._last)
@@ -155,6 +160,25 @@ class StampMonitor:
         if changed or _against(cost, self.late_s + self._moved_s) > STAMP_MONITOR.sure:
             self._moved_s, self._moved_known = 0.0, False
         return changed
+
+    def _inertial_are_off(self, before_s: float) -> bool:
+        """Whether a new :attr:`late_s` is due to the inertial sensors' stamps: it puts fixes into the future, or takes
+        back what these stamps have been corrected by.
+        """
+        if self.late_s > 0.0:
+            return self.inertial_late_s > 0.0
+        age_s = self._ages.lately_s
+        return age_s is not None and age_s + self.late_s - before_s < 0.0
+
+    def _correct_inertial(self) -> None:
+        """Ascribe :attr:`late_s` to the inertial sensors, and begin anew: all that is known has their old stamps."""
+        self.inertial_late_s = max(self.inertial_late_s - self.late_s, 0.0)
+        self.late_s, self.sigma_s, self.jumped_s, self._found_s = 0.0, 0.0, 0.0, math.inf
+        self._moved_s, self._moved_known = 0.0, False
+        self._ages = Ages()
+        self._forget()
+        self._imu.clear()
+        self._fixes.clear()
 
     def _known(self) -> bool:
         """Whether earlier windows have shown how late stamps are."""
@@ -316,6 +340,11 @@ class Ages:
         if abs(self._off) < STAMP_MONITOR.age_soon or self._usual_us is None:
             return 0.0
         return 1e-6 * (self._usual_us - self._last_us[-1])
+
+    @property
+    def lately_s(self) -> float | None:
+        """Median of the last ages, None before the first."""
+        return 1e-6 * median(self._last_us) if self._last_us else None
 
     def note(self, age_us: int) -> float:
         """One more picture. By how much stamps seem to be later for good [us], 0 = they do not."""

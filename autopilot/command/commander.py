@@ -326,12 +326,12 @@ class Commander:
                 self._modes.fly_to(self._goals.at(place, goal.yaw_rad))
         return denied(f"Change of depth denied: {reason}") if reason else ACCEPTED
 
-    def take_off(self, depth_m: float | None) -> CommandReply:
+    def take_off(self, depth_m: float | None, yaw_rad: float | None = None) -> CommandReply:
         """Dive and hold; at arming when disarmed."""
         refusal = self._modes.refusal(FlightMode.TAKEOFF)
         if refusal is not None:
             return refusal
-        reason = self._modes.of_kind(TakeoffMode).choose_depth(depth_m)
+        reason = self._modes.of_kind(TakeoffMode).choose_depth(depth_m, yaw_rad)
         if reason:
             return denied(reason)
         self._modes.choose(FlightMode.TAKEOFF)

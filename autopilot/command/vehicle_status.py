@@ -34,6 +34,9 @@ QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
 """Faults of a sensor without valid data."""
 FRESH_US = 1_000_000
 """Age beyond which a range is invalid: the vehicle has moved."""
+SLOW_INTERVALS = 2.5
+"""The newest range of a slow sonar is valid for so many of its intervals, each taken for ``FRESH_US`` at most: a lost
+reading is no loss of the floor."""
 
 READINGS = 5
 """Length of the median filter: rejects fish and multipath echoes. Of an even number the nearer one counts."""
@@ -51,6 +54,15 @@ class _Ranges:
     readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
     """Time and range, multiples left out."""
     echoes: RecentEchoes = field(default_factory=RecentEchoes)
+
+    def valid_m(self, t_us: int) -> list[float]:
+        """Ranges that count, none = the floor is not seen."""
+        fresh = [range_m for then_us, range_m in self.readings if t_us - then_us <= FRESH_US]
+        if fresh or len(self.readings) < 2:
+            return fresh
+        (first_us, _), (newest_us, newest_m) = self.readings[0], self.readings[-1]
+        interval_us = min((newest_us - first_us) / (len(self.readings) - 1), FRESH_US)
+        return [newest_m] if t_us - newest_us <= SLOW_INTERVALS * interval_us else []
 
 
 class FloorRanges:
@@ -78,9 +90,9 @@ class FloorRanges:
         """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
         for name in SENSORS:
             ranges = self._ranges[name]
-            fresh = [range_m for then_us, range_m in ranges.readings if t_us - then_us <= FRESH_US]
-            if fresh:
-                below_m = median_low(fresh) * _below(rpy_rad, ranges.direction_frd)
+            valid_m = ranges.valid_m(t_us)
+            if valid_m:
+                below_m = median_low(valid_m) * _below(rpy_rad, ranges.direction_frd)
                 height_m = below_m + _below(rpy_rad, ranges.position_frd_m)
                 return height_m if height_m > 0.0 else None
         return None

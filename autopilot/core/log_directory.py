@@ -23,7 +23,7 @@ class LogDirectory(Protocol):
     """
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
-        """All files, oldest first."""
+        """All files, oldest first: a file keeps its place while others are added behind it."""
         ...
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:

@@ -147,7 +147,13 @@ AHRS_ATTITUDE_FROZEN = _warning(
 AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_OFF = _warning(
-    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
+    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency",
+    "Images disagree with the gyro in time. If early, the AHRS may be late.",
+)
+AHRS_LATE = _warning(
+    "AHRS stamps {late_ms:.0f} ms late: set ahrs.time_offset_s",
+    "Fixes would be of the future otherwise; corrected in flight.",
+    "Check its line for a delay; enter a constant one as negative `time_offset_s`.",
 )
 FOCAL_LENGTH_OFF = _warning(
     "Focal length {percent:.1f} % too {what}: recalibrate camera", "The markers' images fit another lens better."
@@ -181,6 +187,11 @@ MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}", 
 MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Add it to the map or remove it.")
 MARKER_OFF = _warning(
     "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
+)
+MARKERS_NOWHERE = _warning(
+    "Markers in view do not fit the map: check size_m",
+    "Several of its ids in each of 90 pictures, and no pose from which they look like that.",
+    "Measure a black square and the distance of two markers; check that it is the map of this floor.",
 )
 PRINT_OFF = _warning(
     "Markers are printed {percent:.1f} % {what} than in the map", "", "Measure a black square, correct size_m."

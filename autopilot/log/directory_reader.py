@@ -2,6 +2,7 @@
 
 import fnmatch
 import glob
+import re
 from pathlib import Path, PurePosixPath
 
 from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
@@ -30,7 +31,7 @@ class LogDirectoryReader:
         self._folder, self.worker, self._single = folder, worker, single
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
-        """All files, oldest first; files deleted meanwhile are left out."""
+        """All files by their names, which tell when they were begun; files deleted meanwhile are left out."""
         return self.worker.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
@@ -75,7 +76,7 @@ class LogDirectoryReader:
                     found.append(LogDirectoryEntry(path=name, size=stat.st_size, modified_s=int(stat.st_mtime)))
             except OSError:
                 continue
-        return tuple(sorted(found, key=lambda file: (file.modified_s, file.path))[-MAX_FILES:])
+        return tuple(sorted(found, key=_by_name)[-MAX_FILES:])
 
     def _found(self, path: str) -> Path:
         """The file of that name. LogError for one that is not there, is no log, or lies outside of the folder."""
@@ -96,3 +97,8 @@ class LogDirectoryReader:
         """Whether a file is the single log (``--log``) or one of its companions."""
         stills = f"{glob.escape(single.stem)}{STILLS}"
         return name in (single.name, single.with_suffix(".tlog").name) or fnmatch.fnmatchcase(name, stills)
+
+
+def _by_name(file: LogDirectoryEntry) -> list[str | int]:
+    """For the order of files: numbers in names by their value. Times of files change when they are copied."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", file.path)]

@@ -247,8 +247,9 @@ class VehicleCommands(Protocol):
         """Another depth where the vehicle is."""
         ...
 
-    def take_off(self, depth_m: float | None) -> CommandReply:
-        """Down to a depth (None = TKOFF_DEPTH) and hold there; begins at arming when disarmed."""
+    def take_off(self, depth_m: float | None, yaw_rad: float | None = None) -> CommandReply:
+        """Down to a depth (None = TKOFF_DEPTH) and hold there, with a heading (None = that of then); begins at arming
+        when disarmed."""
         ...
 
     def change_speed(self, speed_m_s: float | None) -> CommandReply:

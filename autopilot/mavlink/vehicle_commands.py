@@ -7,6 +7,7 @@ from dataclasses import replace
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, GeodeticPosition, far_text, place_from_ned
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
@@ -192,14 +193,18 @@ class VehicleService:
 
     def take_off(self, call: Call) -> Reply:
         """NAV_TAKEOFF: dive here. A negative altitude is the depth; a missing or positive one (ground stations for
-        aircraft) means TKOFF_DEPTH. COMMAND_LONG has no frame: a depth below the depth band is refused too.
+        aircraft) means TKOFF_DEPTH. COMMAND_LONG has no frame: a depth below the depth band is refused too. param4 is
+        the heading [deg], NaN = as it is; so is 0 of a COMMAND_LONG, whose senders fill with it what they do not mean.
         """
         depth_m = self._depth_m(call.z, call.frame)
         if depth_m is None:
             return _unsupported_frame("takeoff", call.frame)
         deepest_m = math.inf if call.exact else self._ctx.params["DEPTH_MAX"]
         given = 0.0 < depth_m <= deepest_m
-        return Reply(self._ctx.vehicle.take_off(depth_m if given else None))
+        yaw_deg = call.params[3]
+        turns = math.isfinite(yaw_deg) and (call.exact or yaw_deg != 0.0)
+        yaw_rad = wrap_pi(math.radians(yaw_deg)) if turns else None
+        return Reply(self._ctx.vehicle.take_off(depth_m if given else None, yaw_rad))
 
     def change_altitude(self, call: Call) -> Reply:
         """DO_CHANGE_ALTITUDE: param1 altitude, param2 frame."""

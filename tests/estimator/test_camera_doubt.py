@@ -45,6 +45,16 @@ def test_a_tilted_camera_is_named(make_ekf: Make, floor: MarkerMap, tilt_deg: fl
     assert [text.startswith("Camera and AHRS tilt differ") for text in remarks] == [True] * (tilt_deg > 0.0)
 
 
+def test_markers_that_fit_nowhere_on_the_map_are_named_once(make_ekf: Make, floor: MarkerMap) -> None:
+    """Printed four fifths of their size, or of another floor: there was no position, and no word why."""
+    middles = floor.corners_ned_m.mean(axis=1, keepdims=True)
+    small = replace(floor, corners_ned_m=middles + 0.8 * (floor.corners_ned_m - middles))
+    other = replace(floor, ids=np.random.default_rng(1).permutation(floor.ids))
+    for true in (small, other):
+        track, texts = flown(make_ekf(markers=floor), LaidWorld(true, 5), 4.0)
+        assert not track.nav and texts == ["Markers in view do not fit the map: check size_m"]
+
+
 @pytest.mark.parametrize("late_ms", [*(round(float(ms), 1) for ms in SOME.uniform(8.0, 130.0, 2)), -25.0])
 def test_late_stamps_are_found_and_put_right(make_ekf: Make, floor: MarkerMap, late_ms: float) -> None:
     estimator = make_ekf(markers=floor)

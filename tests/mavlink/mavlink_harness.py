@@ -172,8 +172,8 @@ class RecordingVehicle:
     def change_depth(self, depth_m: float) -> CommandReply:
         return self._note("change_depth", depth_m)
 
-    def take_off(self, depth_m: float | None) -> CommandReply:
-        return self._note("take_off", depth_m)
+    def take_off(self, depth_m: float | None, yaw_rad: float | None = None) -> CommandReply:
+        return self._note("take_off", depth_m, yaw_rad)
 
     def set_home(self, point: GeodeticPosition | None) -> CommandReply:
         return self._note("set_home", point)

@@ -225,13 +225,20 @@ def test_a_takeoff_is_a_dive_whatever_its_altitude_means(world: World, client: C
     for altitude, depth in ((rest, None), (2.0, None), (14.5, None), (11.5, 0.5), (-0.5, None)):
         world.vehicle.calls.clear()
         assert client.command(22, 0, 0, 0, rest, rest, rest, altitude) == R.ACCEPTED
-        assert world.vehicle.calls == [("take_off", depth)]
+        assert world.vehicle.calls == [("take_off", depth, None)]
     for frame, altitude, depth in ((3, -0.75, 0.75), (1, 0.25, 0.25), (3, 2.5, None)):
         world.vehicle.calls.clear()
-        assert client.command_int(22, frame, (0, 0, 0, 0), 0, 0, altitude) == R.ACCEPTED
-        assert world.vehicle.calls == [("take_off", depth)]
+        assert client.command_int(22, frame, (0, 0, 0, NAN), 0, 0, altitude) == R.ACCEPTED
+        assert world.vehicle.calls == [("take_off", depth, None)]
     world.vehicle.calls.clear()
     assert client.command_int(22, 10, (0, 0, 0, 0), 0, 0, -0.5) == R.UNSUPPORTED_FRAME and not world.vehicle.calls
+
+
+def test_a_takeoff_takes_its_heading(world: World, client: Client) -> None:
+    """Zeros of a COMMAND_LONG are what its sender has not filled in; a COMMAND_INT means north."""
+    assert client.command(22, 0, 0, 0, 270.0, 0, 0, NAN) == R.ACCEPTED
+    assert client.command_int(22, 3, (0, 0, 0, 0.0), 0, 0, -0.5) == R.ACCEPTED
+    assert world.vehicle.calls == [("take_off", None, pytest.approx(-math.pi / 2)), ("take_off", 0.5, 0.0)]
 
 
 @pytest.mark.parametrize("command", [192, 34, 179])

@@ -4,6 +4,7 @@ import binascii
 import hashlib
 import json
 import lzma
+import os
 import random
 import struct
 from dataclasses import replace
@@ -322,6 +323,17 @@ def test_logs_arrive_whole_by_log_messages(folder: Path, profile: str, first: in
                 have.add(m.ofs // 90)
         assert bytes(data) == sent[number - first]
     client.send(mav.MAVLink_log_request_end_message(1, 1))
+
+
+def test_numbers_of_logs_do_not_follow_the_times_of_files(folder: Path) -> None:
+    """Copied or touched files changed places, and a client that went on by number got another log."""
+    names = ["2026-11-22/10_00_00.mcap", *(f"2026-11-22/10_00_00_{n}.mcap" for n in (2, 9, 10)), "2026-12-01/09.mcap"]
+    for size, name in enumerate(names, start=1):
+        a_log(folder, name, size)
+        os.utime(folder / name, (2_000_000_000 - size, 2_000_000_000 - size))
+    client = world_with(folder).client()
+    entries = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
+    assert [(m.id, m.size) for m in entries] == [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]
 
 
 @pytest.mark.parametrize("folder_there", [True, False])

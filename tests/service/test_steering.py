@@ -471,3 +471,18 @@ def test_random_sticks_modes_and_set_points_touch_nothing(seed: int) -> None:
     depths = np.array(world.track)[:, 2]
     assert depths.max() < 1.25
     assert world.step_n() <= 3.0
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_dive_turns_to_its_heading(armed: bool) -> None:
+    """The heading of NAV_TAKEOFF was passed over; here the depth is reached before the turn is over."""
+    world = PilotedWorld(start=(-1.6, 0.5, 0.45, 0.0))
+    world.run(1.5)
+    if armed:
+        world.arm()
+    assert world.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 150.0, 0, 0, math.nan) == 0, world.texts()
+    if not armed:
+        world.arm()
+    world.run(20.0)
+    assert world.custom_mode == HOLD and world.x[2] == pytest.approx(0.5, abs=0.05)
+    assert math.degrees(world.x[3]) == pytest.approx(150.0, abs=6.0)

@@ -139,6 +139,19 @@ def test_without_a_range_it_is_refused_and_one_that_is_lost_holds_the_depth() ->
     assert world.height == pytest.approx(held, abs=0.04)
 
 
+def test_a_slow_sonar_is_no_floor_that_is_lost_again_and_again() -> None:
+    """A range every 1.1 s was lost and back every time."""
+    world = tracking()
+    world.sonar, world.every_us = True, 1_100_000
+    world.steer(4.0)  # of a sonar instead of the laser two ranges are needed
+    world.inbox.clear()
+    world.steer(15.0)
+    assert "to the floor" not in world.texts()
+    world.ranges = False
+    world.steer(6.0)
+    assert world.texts().count("No range to the floor: holding depth") == 1
+
+
 @pytest.mark.parametrize(
     ("sonar", "every_us", "doubles", "confidence"),
     [(False, 50_000, 0.3, 1.0), (True, 100_000, 0.4, 1.0), (True, 500_000, 0.3, 1.0), (True, 100_000, 0.7, 0.3)],

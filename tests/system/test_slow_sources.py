@@ -1,4 +1,5 @@
-"""Cameras and pose sources of other rates than 30 Hz: a position, the first waypoint, and no sensor blamed."""
+"""Cameras and pose sources of other rates than 30 Hz, and an AHRS that is late: a position, the first waypoint, and no
+sensor blamed that works."""
 
 import random
 from pathlib import Path
@@ -38,3 +39,19 @@ def test_between_slow_poses_no_sensor_is_blamed(session: OpenSession, tmp_path: 
     lines = "".join(f"{key} = {value}\n" for key, value in pose.items())
     texts = _texts(session, tmp_path, seed, "pose", f"[sensors.pose]\n{lines}")
     assert "Reached item 0" in texts and not [text for text in texts if text.startswith(BLAME)], texts
+
+
+@pytest.mark.parametrize("velocity", ["", "[sensors.dvl]\n"], ids=["alone", "with velocities"])
+def test_poses_once_a_second_are_no_gaps(session: OpenSession, tmp_path: Path, velocity: str) -> None:
+    """Each of them ended a dead reckoning that had begun just before it."""
+    texts = _texts(session, tmp_path, 1, "pose", "[sensors.pose]\nrate_hz = 1.0\nlatency_s = 0.15\n" + velocity)
+    assert "Reached item 0" in texts and sum(text.startswith("Dead reckoning") for text in texts) <= 1, texts
+
+
+def test_an_ahrs_that_is_late_is_named_and_corrected(session: OpenSession, tmp_path: Path) -> None:
+    """By more than poses take to arrive: they were corrected into the future and back again, and the vehicle held with
+    a position source that was called suspect."""
+    texts = _texts(session, tmp_path, 1, "pose", "[sensors.ahrs]\nlatency_s = 0.115\n")
+    late = [int(text.split()[2]) for text in texts if text.startswith("AHRS stamps ")]
+    assert len(late) == 1 and abs(late[0] - 100) <= 5, texts  # 15 ms are stated in the vehicle file
+    assert "Reached item 0" in texts and not [text for text in texts if text.startswith((*BLAME, "Pose"))], texts

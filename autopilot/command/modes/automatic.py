@@ -118,27 +118,32 @@ class TakeoffMode(FlightModeBehaviour):
         super().__init__(tools)
         self._commanded_depth_m: float | None = None
         """Of a dive that has not begun, None = TKOFF_DEPTH."""
+        self._commanded_yaw_rad: float | None = None
+        """The same, None = the heading of then."""
         self._depth_m = 0.0
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
         """To the depth requested before arming, else TKOFF_DEPTH."""
-        return self.choose_depth(self._commanded_depth_m)
+        return self.choose_depth(self._commanded_depth_m, self._commanded_yaw_rad)
 
     def leave(self) -> None:
-        self._commanded_depth_m = None
+        self._commanded_depth_m = self._commanded_yaw_rad = None
 
-    def choose_depth(self, depth_m: float | None) -> str:
-        """Depth of the next dive, None = TKOFF_DEPTH. Returns the reason of a refusal, else ""."""
+    def choose_depth(self, depth_m: float | None, yaw_rad: float | None) -> str:
+        """Depth of the next dive, None = TKOFF_DEPTH, and its heading, None = that of then. Returns the reason of a
+        refusal, else "".
+        """
         wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
         reason = self._goals.refuse_depth(wanted_m)
         if reason:
             return f"Takeoff denied: {reason}" + (", set TKOFF_DEPTH" if depth_m is None else "")
-        self._commanded_depth_m, self._depth_m = depth_m, wanted_m
+        self._commanded_depth_m, self._depth_m, self._commanded_yaw_rad = depth_m, wanted_m, yaw_rad
         return ""
 
     def place(self, nav: NavState) -> Goal:
         rest = self._goals.hold(nav)
-        return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
+        yaw_rad = rest.yaw_rad if self._commanded_yaw_rad is None else self._commanded_yaw_rad
+        return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]), yaw_rad=yaw_rad)
 
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """Ends at its depth."""

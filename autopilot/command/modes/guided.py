@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.command.modes.mode import FlightModeBehaviour, ModeContext, ModeStep, denied
+from autopilot.command.modes.mode import GOAL_UPDATE_US, FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
@@ -13,9 +13,6 @@ from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, SetPoint
 
 NONE_YET = "send set points first"
-
-FRESH_US = 50_000
-"""Interval at which body velocities are rotated by the heading."""
 
 
 class GuidedMode(FlightModeBehaviour):
@@ -77,7 +74,7 @@ class GuidedMode(FlightModeBehaviour):
         point, made_of = self._point, self._made_of
         same = point is not None and made_of is not None and replace(point, until_us=made_of.until_us) == made_of
         turns = point is not None and point.vel_m_s is not None and point.body
-        if self._goal is None or not same or (turns and nav.t_us - self._made_us >= FRESH_US):
+        if self._goal is None or not same or (turns and nav.t_us - self._made_us >= GOAL_UPDATE_US):
             self._goal, self._made_of = self._made(point or SetPoint(until_us=0), nav), point
             self._made_us = nav.t_us
         return self._goal

@@ -19,6 +19,9 @@ from autopilot.mission.store import Plans
 RELEASED = Sticks()
 """No pilot."""
 
+GOAL_UPDATE_US = 50_000
+"""Interval at which a goal that moves with heading and current is updated: once a control step."""
+
 
 def denied(reason: str) -> CommandReply:
     return CommandReply(result=CommandResult.DENIED, reason=reason)

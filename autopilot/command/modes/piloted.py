@@ -11,16 +11,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from autopilot.command.modes.mode import RELEASED, FlightModeBehaviour, ModeContext, ModeStep, denied
+from autopilot.command.modes.mode import GOAL_UPDATE_US, RELEASED, FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
-
-FRESH_US = 50_000
-"""Interval at which a moving goal is updated for heading and current: once a control step."""
 
 TURN_STOP_RAD_S2 = 0.6
 """How hard a turn brakes when its stick is let go: the heading that is held is where it comes to rest."""
@@ -83,7 +80,7 @@ class PilotedMode(FlightModeBehaviour):
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
         """The same object while nothing changes."""
-        if self._goal is not None and self._last_sticks == sticks and nav.t_us - self._made_us < FRESH_US:
+        if self._goal is not None and self._last_sticks == sticks and nav.t_us - self._made_us < GOAL_UPDATE_US:
             return self._goal
         self._last_sticks, self._made_us = sticks, nav.t_us
         made = self._made(sticks, nav)
