@@ -109,7 +109,7 @@ class MeanFlowTuning:
     """Constants of :class:`autopilot.estimator.measure_model.MeanFlow`."""
 
     mean_s: float = 5.0
-    """Longer than what the estimate of a current errs for."""
+    """Longer than what the estimate of a current errs for. For so long at first there is no mean."""
     noise_m_s: float = 0.1
     """Three standard deviations of a current that is known. In still water, 330 s straight on, drag is off by 0.1 in
     the end (by 0.27 without a mean), and in the paper's tank the current as well known as without."""

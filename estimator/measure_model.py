@@ -78,6 +78,7 @@ class MeanFlow:
     def __init__(self, before: "MeanFlow | None", node: Node) -> None:
         self.t_us: int = node.t_us
         dt_s = 0.0 if before is None else min((node.t_us - before.t_us) * 1e-6, MEAN_FLOW.longest_s)
+        self._age_s: float = 0.0 if before is None else before._age_s + dt_s
         self._share = dt_s / MEAN_FLOW.mean_s
         self._before = _through_water(node.state.x) if before is None else before.mean_ned_m_s
         self.mean_ned_m_s: FloatArray = np.zeros(2)
@@ -85,9 +86,11 @@ class MeanFlow:
 
     def about_ned_m_s(self, x: FloatArray) -> FloatArray:
         """(2,) velocity through the water about which the model is linear, with the estimate ``x`` (21,) of this look:
-        the mean, or the estimate where that is further off than noise."""
+        the mean, or the estimate where that is further off than noise, and at first."""
         now = _through_water(x)
         self.mean_ned_m_s[:] = self._before + self._share * (now - self._before)
+        if self._age_s < MEAN_FLOW.mean_s:
+            return now
         off = now - self.mean_ned_m_s
         square = float(off @ off)
         return self.mean_ned_m_s + square / (square + MEAN_FLOW.noise_m_s**2) * off
