@@ -283,7 +283,7 @@ class FixMotionTuning:
     """and more for each second without a fix [m/s per s]: jets change the velocity by 0.1 m/s within 5 s."""
     unaided: float = 0.2
     """[m/s, rad/s] more while the accelerometer (the gyro) is suspect."""
-    unknown_m_s: float = 0.06
+    unknown_m_s: float = 0.5
     """A vertical speed that dead reckoning knows no better does not count: it is corrected at random by what the
     horizontal accelerations say of it, and without a depth sensor it is soon that uncertain."""
     sure: float = 12.0
