@@ -5,6 +5,7 @@ passed), until ``outcome`` is set. Datagrams may be lost, duplicated or reordere
 until it is answered or the vehicle has been silent for :attr:`Timers.give_up_s`.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -47,7 +48,7 @@ class ExchangeResult:
         return self.result == 0
 
 
-class Exchange:
+class Exchange(ABC):
     """State machine of one exchange, run by :class:`autopilot.client.client_session.VehicleConnection`.
 
     Timeout, refusals and their reasons are common to all. Times ``t_s`` are seconds of the caller's monotonic clock.
@@ -65,13 +66,15 @@ class Exchange:
         self._refused: tuple[int, float] | None = None
 
     @property
+    @abstractmethod
     def progress(self) -> tuple[int, int]:
         """Items done and items in all."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def _due(self) -> Message:
         """The message that the vehicle has to answer next."""
-        raise NotImplementedError
+        ...
 
     @property
     def _repeat_s(self) -> float:
@@ -82,9 +85,10 @@ class Exchange:
         self._received_s = self._sent_s = t_s
         return [self._due()]
 
+    @abstractmethod
     def handle(self, message: Message, t_s: float) -> list[Message]:
         """Messages to send in answer to a message of the vehicle."""
-        raise NotImplementedError
+        ...
 
     def tick(self, t_s: float) -> list[Message]:
         """Messages to retransmit now."""
