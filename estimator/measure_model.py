@@ -32,7 +32,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 from autopilot.core.to_and_fro import ToAndFro
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.aiding import InertialAid
+from autopilot.estimator.aiding import REJECT_COUNT, InertialAid
 from autopilot.estimator.estimator_tuning import MEAN_FLOW, SWELL
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
@@ -66,6 +66,9 @@ IDLE_SPEED_M_S = 0.03
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 updates per second that share it."""
+
+LET_GO_WITHIN_US = 3_000_000
+"""A hand or a rope lets the vehicle go within that after thrusters begin to drive it."""
 
 LEAST_EXCESS, MOST_EXCESS = -0.8, 4.0
 """Of drag and thrust, as the model uses them: drag below -1 would drive the vehicle, and a blind step run away."""
@@ -343,20 +346,28 @@ class ModelAid(InertialAid):
         self._options = options
         self._swell = Swell(VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle)))
         self._flow: MeanFlow | None = None
-        self._carried = False
+        self._undriven = self._carried = False
+        self._begun_us = -LET_GO_WITHIN_US
+        """When thrusters began to drive it."""
 
     def is_informative(self, moment: Moment, x: FloatArray) -> bool:
         """Whether the vehicle is driven, and may move."""
         return self._options.model_aid and not idle(moment, x)
 
     def let_go(self, moment: Moment, *, informs: bool) -> bool:
-        """Whether thrusters begin to drive a vehicle that moved without them: by the water, or by a hand or a rope,
-        which the model took for water."""
-        if max(map(abs, moment.thrust_n)) > 1e-3 * IDLE_THRUST_N:
-            carried, self._carried = self._carried, False
+        """Whether what the model took for water was a hand or a rope: thrusters begin to drive a vehicle that moved
+        without them, or the model is denied soon after that."""
+        if max(map(abs, moment.thrust_n)) <= 1e-3 * IDLE_THRUST_N:
+            self._undriven, self._carried = True, self._carried or informs
+            return False
+        if self._undriven:
+            carried, self._undriven, self._carried = self._carried, False, False
+            self._begun_us = moment.inertial.t_us
             return carried
-        self._carried |= informs
-        return False
+        denied = self.rejected_in_row >= REJECT_COUNT and moment.inertial.t_us - self._begun_us < LET_GO_WITHIN_US
+        if denied:
+            self.reset(moment.inertial.t_us)
+        return denied
 
     def measured(self, sample: Inertial) -> ModelAcceleration:
         factor = 1.0 + self._swell.variance / SIGMA_M_S2**2

@@ -8,6 +8,7 @@ import pytest
 from system_harness import OpenSession
 
 from autopilot.analysis.current_forecasts import compare_forecasts
+from autopilot.campaign.worlds.random_world import make_world, write_files
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.log.reader import open_log
@@ -92,3 +93,17 @@ def test_a_stream_is_known_two_seconds_after_a_hand_lets_go(tmp_path: Path, sess
     ).run()  # fmt: skip
     flown = np.array([current for armed, current in found if armed])
     assert np.abs(flown[200] - [-0.3, 0.1, 0.0]).max() < 0.15
+
+
+def test_a_stream_that_the_first_moment_of_thrust_denies_is_known_a_second_later(
+    tmp_path: Path, session: OpenSession
+) -> None:
+    """A look at the moment when the hand lets go says still water, and all that follow were rejected for 5 s, with a
+    sound thruster blamed: thrusters that begin and a model that is denied mean that the current is not known."""
+    write_files(make_world(543_000_019), tmp_path, mode=0, duration_s=60.0)
+    found: list[FloatArray] = []
+    session(
+        str(tmp_path / "scenario.toml"), start=True, duration=3.0, seed=543_000_019,
+        on_tick=lambda out: found.append(out.nav.current_ned_m_s) if out.mode.armed and out.nav else None,
+    ).run()  # fmt: skip
+    assert np.abs(np.array(found[100:]) - [0.3, -0.34, 0.0]).max() < 0.15
