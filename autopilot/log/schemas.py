@@ -7,9 +7,8 @@ comments and constants. Each schema in a file is self-contained: the root defini
 from functools import cache
 
 from autopilot.core.errors import LogError
+from autopilot.log import record_table, sample_table
 from autopilot.log.cdr import PRIMITIVES, CdrField, CdrLayout, fixed_layout, parse_definition, short_name
-from autopilot.log.record_table import RECORD_ROWS
-from autopilot.log.sample_table import SAMPLE_ROWS
 
 ENCODING = "ros2msg"
 MESSAGE_ENCODING = "cdr"
@@ -19,10 +18,17 @@ FRAME_ID_BYTES = 4
 
 _SEPARATOR = "=" * 80
 
+
+def _own_types(text: str) -> dict[str, str]:
+    """Definitions of paragraphs that begin with a type's name."""
+    parts = [(part.split(maxsplit=1)[0], part) for part in text.strip().split("\n\n")]
+    return {f"autopilot_msgs/{name}": "std_msgs/Header header" + part.removeprefix(name) for name, part in parts}
+
+
 _DEFINITIONS: dict[str, str] = {
     # Own types, package autopilot_msgs. SI, NED world, FRD body.
-    **{f"autopilot_msgs/{row.type}": f"std_msgs/Header header{row.fields}" for row in SAMPLE_ROWS},
-    **{f"autopilot_msgs/{row.type}": f"std_msgs/Header header{row.fields}" for row in RECORD_ROWS},
+    **_own_types(sample_table.FIELDS),
+    **_own_types(record_table.FIELDS),
     # Standard types.
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
