@@ -43,18 +43,14 @@ class SerialPort(Closing):
     def __init__(self, device: str, baud: int) -> None:
         self._device = device
         self._baud = baud
-        self._fd: int | None = None
+        self.fd: int | None = None
+        """File descriptor, None when closed."""
         self.lost = False
         """Whether the device has gone since it was opened; it may be opened again."""
 
-    @property
-    def fd(self) -> int | None:
-        """File descriptor, None when closed."""
-        return self._fd
-
     def open(self) -> None:
         """Open and configure the line. DriverError with the reason."""
-        if self._fd is not None:
+        if self.fd is not None:
             return
         termios = _termios()
         speed = getattr(termios, f"B{self._baud}", None)
@@ -77,14 +73,14 @@ class SerialPort(Closing):
         except termios.error as error:
             os.close(fd)
             raise DriverError(f"{self._device} is not a serial line; check the name") from error
-        self._fd, self.lost = fd, False
+        self.fd, self.lost = fd, False
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
         """Content of the system's receive buffer, stamped with ``t_us``."""
-        if self._fd is None:
+        if self.fd is None:
             return []
         try:
-            data = os.read(self._fd, CHUNK)
+            data = os.read(self.fd, CHUNK)
         except BlockingIOError:
             return []
         except OSError:  # unplugged
@@ -96,10 +92,10 @@ class SerialPort(Closing):
 
     def write(self, data: bytes) -> None:
         """Send; data that do not fit into the system's buffer are lost (senders repeat their commands)."""
-        if self._fd is None:
+        if self.fd is None:
             raise DriverError(f"serial line {self._device} is closed; open it before writing")
         try:
-            os.write(self._fd, data)
+            os.write(self.fd, data)
         except BlockingIOError:
             return
         except OSError as error:
@@ -113,7 +109,7 @@ class SerialPort(Closing):
 
     def close(self) -> None:
         self.lost = False
-        fd, self._fd = self._fd, None
+        fd, self.fd = self.fd, None
         if fd is not None:
             with contextlib.suppress(OSError):  # a line that is unplugged may complain; its number is free all the same
                 os.close(fd)

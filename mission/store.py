@@ -114,8 +114,10 @@ class Plans(PlanStore):
         self._current_check = current_check
         self._radius_m = radius_m
         self._goal_margin_m = goal_margin_m or (lambda: params["MPC_MARGIN"])
-        self._origin = origin or params_origin(params)
-        self._home_ned_m: FloatArray = np.zeros(3)
+        self.origin = origin or params_origin(params)
+        """The local origin; its altitude is the water surface."""
+        self.home_ned_m: FloatArray = np.zeros(3)
+        """(3,) home, the origin until it is set."""
         self._home: GeodeticPosition | None = None
         self._plans: Plans3 = EMPTY
         self._sums: dict[PlanKind, tuple[tuple[PlanItem, ...], int]] = {}
@@ -142,20 +144,10 @@ class Plans(PlanStore):
         return self.watchdog is None or self.watchdog()
 
     @property
-    def origin(self) -> Origin:
-        """The local origin; its altitude is the water surface."""
-        return self._origin
-
-    @property
-    def home_ned_m(self) -> FloatArray:
-        """(3,) home, the origin until it is set."""
-        return self._home_ned_m
-
-    @property
     def home(self) -> GeodeticPosition:
         """Home in geodetic coordinates; the same object until home or origin change."""
         if self._home is None:
-            lat, lon, alt = geodetic_from_ned(self._origin, self._home_ned_m)
+            lat, lon, alt = geodetic_from_ned(self.origin, self.home_ned_m)
             self._home = GeodeticPosition(lat_deg=lat, lon_deg=lon, alt_m=alt)
         return self._home
 
@@ -164,7 +156,7 @@ class Plans(PlanStore):
         away_m = float(np.hypot(pos_ned_m[0], pos_ned_m[1]))
         if not (away_m <= MAX_RANGE_M and np.isfinite(pos_ned_m).all()):
             return far_text(away_m)
-        self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
+        self.home_ned_m = np.array(pos_ned_m, dtype=np.float64)
         self._home = None
         return ""
 
@@ -173,7 +165,7 @@ class Plans(PlanStore):
 
     def size_text(self) -> str:
         """Size of a mission that is far, for texts; "" for others."""
-        return extent_of(self.steps(), self._home_ned_m).text
+        return extent_of(self.steps(), self.home_ned_m).text
 
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of a plan (MAVLink mission protocol), 0 = empty."""
@@ -204,7 +196,7 @@ class Plans(PlanStore):
     @property
     def placed(self) -> bool:
         """Whether fence and mission in local metres are those of the origin in force."""
-        return self.verdict.question.origin == self._origin
+        return self.verdict.question.origin == self.origin
 
     def steps(self) -> tuple[Step, ...]:
         """The mission in local metres, one step per item; the same object until mission or origin change."""
@@ -224,10 +216,10 @@ class Plans(PlanStore):
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         """The cheap check of one item as it arrives."""
-        rejection = check_item(kind, item, self._origin)
+        rejection = check_item(kind, item, self.origin)
         if rejection is not None or kind is not PlanKind.MISSION:
             return rejection
-        return order_problem(parse_step(item, self._origin), self.order_check)
+        return order_problem(parse_step(item, self.origin), self.order_check)
 
     def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> Change:
         """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""
@@ -256,13 +248,13 @@ class Plans(PlanStore):
                 rejection = check_item(kind, item, origin)
                 if rejection is not None:
                     return rejection
-        self._origin = origin
+        self.origin = origin
         self._home = None
         return None
 
     def local_ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
         """A geodetic position in local metres (3,)."""
-        return ned_from_geodetic(self._origin, lat_deg, lon_deg, alt_m)
+        return ned_from_geodetic(self.origin, lat_deg, lon_deg, alt_m)
 
     # Beside the loop
 
@@ -357,13 +349,13 @@ class Plans(PlanStore):
         """Inputs of the check; without a change the same object as before."""
         limits, goal_margin_m = _limits(self._live), self._goal_margin_m()
         known = self._wanted
-        same_plans = known is not None and known.plans is self._plans and known.origin is self._origin
+        same_plans = known is not None and known.plans is self._plans and known.origin is self.origin
         same_limits = known is not None and known.limits == limits and known.goal_margin_m == goal_margin_m
         if change is None and known is not None and same_plans and same_limits:
             return known
         wanted = PlanCheckInputs(
             plans=self._plans if change is None else {**self._plans, **change.plans},
-            origin=self._origin,
+            origin=self.origin,
             limits=limits,
             radius_m=self._radius_m,
             goal_margin_m=goal_margin_m,

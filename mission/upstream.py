@@ -95,7 +95,7 @@ class MadeGood:
 
     def __init__(self) -> None:
         self._goal: tuple[float, ...] | None = None
-        self._best_m = self._left_m = math.inf
+        self._best_m = self.left_m = math.inf
         self._us = self._last_us = 0
         self._anew = 0
         self._seen_s = self._made_m_s = 0.0
@@ -104,10 +104,6 @@ class MadeGood:
     def made_m_s(self) -> float:
         """Speed with which it has got nearer lately; 0 = not known yet, or none."""
         return max(self._made_m_s, 0.0) if self._seen_s >= UPSTREAM.made_s else 0.0
-
-    @property
-    def left_m(self) -> float:
-        return self._left_m
 
     def forget(self) -> None:
         """Reset: there is no goal to travel to, or it has been reached."""
@@ -132,15 +128,15 @@ class MadeGood:
             self._us += t_us - self._last_us
         elif left_m < self._best_m - step_m:
             self._best_m, self._us = left_m, t_us
-        elif left_m > self._left_m + UPSTREAM.jump_m and self._anew < UPSTREAM.fresh_starts:
+        elif left_m > self.left_m + UPSTREAM.jump_m and self._anew < UPSTREAM.fresh_starts:
             self._anew += 1
             self._best_m, self._us = left_m, t_us
-        self._left_m, self._last_us = left_m, t_us
+        self.left_m, self._last_us = left_m, t_us
         return (t_us - self._us) * 1e-6
 
     def _update(self, t_us: int, left_m: float, *, same: bool) -> None:
         """Update the speed; a path whose length jumps is another one."""
-        elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
+        elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self.left_m - left_m
         if not same or abs(nearer_m) > UPSTREAM.jump_m:
             self._seen_s = self._made_m_s = 0.0
         elif elapsed_s > 0.0:

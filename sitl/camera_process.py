@@ -121,16 +121,12 @@ class MjpegServer(Closing):
         self._listener: socket.socket | None = None
         self._newest: tuple[int, CameraFrame | None] = (0, None)
         self._fresh = threading.Condition()
-        self._clients = 0
+        self.clients = 0
 
     @property
     def url(self) -> str:
         """URL for a camera driver."""
         return f"http://{self._host}:{self.port}/video.mjpg"
-
-    @property
-    def clients(self) -> int:
-        return self._clients
 
     def open(self) -> None:
         if self._listener is None:
@@ -160,7 +156,7 @@ class MjpegServer(Closing):
                 threading.Thread(target=self._serve, args=(client, listener), name="mjpeg", daemon=True).start()
 
     def _serve(self, client: socket.socket, listener: socket.socket) -> None:
-        self._clients += 1
+        self.clients += 1
         with client, suppress(OSError):
             client.settimeout(SEND_S)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -173,7 +169,7 @@ class MjpegServer(Closing):
                     size = str(len(jpeg)).encode()
                     head = b"--" + BOUNDARY + b"\r\nContent-Type: image/jpeg\r\nContent-Length: " + size + b"\r\n\r\n"
                     client.sendall(head + jpeg + b"\r\n")
-        self._clients -= 1
+        self.clients -= 1
 
     def _after(self, shown: int, listener: socket.socket) -> tuple[int, bytes]:
         """Wait for a picture that is newer than number ``shown``: its number and bytes; none after a while."""

@@ -32,7 +32,7 @@ class SimCamera:
     def __init__(self, camera: CameraModel, floor: Floor, imaging: ImageModel, seed: int, laser: bool = True) -> None:
         """``camera`` is the true one; ``seed`` chooses the noise. Sets OpenCV to one thread (others only spin)."""
         cv2.setNumThreads(1)
-        self._camera = camera
+        self.camera = camera
         self._floor = floor
         self._imaging = imaging
         self._seed = seed
@@ -59,18 +59,14 @@ class SimCamera:
         self._noise = np.clip(noise + CAMERA_TUNED.noise_zero, 0, 255).astype(np.uint8)
         self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAMERA_TUNED.caustic_waves_1_m))
 
-    @property
-    def camera(self) -> CameraModel:
-        return self._camera
-
     def with_faults(self, faults: Sequence[LensFault | Mounting]) -> "SimCamera":
         """A copy with these additional faults."""
-        return SimCamera(faulty(self._camera, faults), self._floor, self._imaging, self._seed, self._laser)
+        return SimCamera(faulty(self.camera, faults), self._floor, self._imaging, self._seed, self._laser)
 
     def render(self, truth: Truth, index: int) -> Image:
         """The picture number ``index``, BGR (rows, columns, 3), exposed around ``truth.t_us``."""
         r = r_ned_from_frd(truth.rpy_rad)
-        eye_ned_m = truth.pos_ned_m + r @ self._camera.position_frd_m
+        eye_ned_m = truth.pos_ned_m + r @ self.camera.position_frd_m
         height_m = max(0.01, self._floor.depth_m - float(eye_ned_m[2]))
         north_m, east_m = self._floor_points(eye_ned_m, r, height_m)
         grey = self._sampled(north_m, east_m, height_m)
@@ -84,9 +80,9 @@ class SimCamera:
 
     def _floor_points(self, eye_ned_m: FloatArray, r: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
         """North and east of the floor points that the grid's rays meet."""
-        r_ned_from_cam = r @ self._camera.r_frd_from_cam
+        r_ned_from_cam = r @ self.camera.r_frd_from_cam
         north, east, down = r_ned_from_cam @ self._rays_cam
-        if self._camera.port is None:
+        if self.camera.port is None:
             reach = height_m / np.maximum(down, CAMERA_TUNED.horizon)
             north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
         else:  # rays start where they enter the water
@@ -97,7 +93,7 @@ class SimCamera:
 
     def _sampled(self, north_m: FloatArray, east_m: FloatArray, height_m: float) -> Image:
         """The floor texture at every pixel, from a small copy of the visible part (for the processor's cache)."""
-        level = self._floor.level_for(self._camera.focal_water_px / height_m)
+        level = self._floor.level_for(self.camera.focal_water_px / height_m)
         picture = self._floor.levels[level]
         where = self._floor.pixel_map(north_m, east_m, level)
         left, right = _span(where[..., 0], picture.shape[1])
@@ -119,8 +115,8 @@ class SimCamera:
         height, width = grid.shape[0] * CAMERA_TUNED.step_px, grid.shape[1] * CAMERA_TUNED.step_px
         full = cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR)
         return full[
-            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self._camera.height_px,
-            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self._camera.width_px,
+            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self.camera.height_px,
+            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self.camera.width_px,
         ]
 
     def _brightness(self, north_m: FloatArray, east_m: FloatArray, t_s: float) -> Image:
@@ -144,9 +140,9 @@ class SimCamera:
 
     def _blurred(self, grey: Image, truth: Truth, height_m: float) -> Image:
         """Optical blur, and motion during the exposure by its variance along its direction."""
-        vx, vy, _ = self._camera.r_frd_from_cam.T @ truth.vel_frd_m_s
-        wx, wy, _ = self._camera.r_frd_from_cam.T @ truth.rate_frd_rad_s
-        scale = self._camera.focal_water_px * self._imaging.exposure_s
+        vx, vy, _ = self.camera.r_frd_from_cam.T @ truth.vel_frd_m_s
+        wx, wy, _ = self.camera.r_frd_from_cam.T @ truth.rate_frd_rad_s
+        scale = self.camera.focal_water_px * self._imaging.exposure_s
         mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
         xx, yy, xy = (
             self._imaging.blur_px**2 + mx * mx / 12.0,
@@ -166,7 +162,7 @@ class SimCamera:
         pattern for every frame number, in the same pass.
         """
         down, right = np.random.default_rng((self._seed, 1, index)).integers(0, CAMERA_TUNED.noise_pad, 2)
-        noise = self._noise[:, down : down + self._camera.height_px, right : right + self._camera.width_px]
+        noise = self._noise[:, down : down + self.camera.height_px, right : right + self.camera.width_px]
         planes = []
         for channel, (veil, fade, tint) in enumerate(
             zip(CAMERA_TUNED.veil_bgr, CAMERA_TUNED.fade_bgr, CAMERA_TUNED.tint_bgr, strict=True)
@@ -179,21 +175,19 @@ class SimCamera:
 
     def _add_laser(self, picture: Image, eye_ned_m: FloatArray, r: FloatArray) -> None:
         """The dot where the beam meets the floor, in place."""
-        r_ned_from_cam = r @ self._camera.r_frd_from_cam
-        origin_ned_m = eye_ned_m + r_ned_from_cam @ self._camera.laser_offset_cam_m
-        down = float(r_ned_from_cam[2] @ self._camera.laser_direction_cam)
+        r_ned_from_cam = r @ self.camera.r_frd_from_cam
+        origin_ned_m = eye_ned_m + r_ned_from_cam @ self.camera.laser_offset_cam_m
+        down = float(r_ned_from_cam[2] @ self.camera.laser_direction_cam)
         if down < CAMERA_TUNED.horizon:
             return
         range_m = (self._floor.depth_m - float(origin_ned_m[2])) / down
         if range_m <= NEAR_M:
             return
-        x, y = self._camera.laser_pixel(range_m)
-        sigma = math.hypot(
-            CAMERA_TUNED.laser_glow_px, self._camera.focal_water_px * CAMERA_TUNED.laser_spot_m / range_m
-        )
+        x, y = self.camera.laser_pixel(range_m)
+        sigma = math.hypot(CAMERA_TUNED.laser_glow_px, self.camera.focal_water_px * CAMERA_TUNED.laser_spot_m / range_m)
         radius = math.ceil(3.5 * sigma)
-        left, right = max(0, round(x) - radius), min(self._camera.width_px, round(x) + radius + 1)
-        top, bottom = max(0, round(y) - radius), min(self._camera.height_px, round(y) + radius + 1)
+        left, right = max(0, round(x) - radius), min(self.camera.width_px, round(x) + radius + 1)
+        top, bottom = max(0, round(y) - radius), min(self.camera.height_px, round(y) + radius + 1)
         if left >= right or top >= bottom:
             return
         strength = self._imaging.laser_brightness * math.exp(-2.0 * self._imaging.turbidity_1_m * range_m)

@@ -16,7 +16,8 @@ class SimPayload:
         self._outputs = vehicle.payload
         self._wanted = [self._level(index, output.start_us) for index, output in enumerate(self._outputs)]
         self._levels = list(self._wanted)
-        self._pulses_us: tuple[int, ...] = tuple(output.start_us for output in self._outputs)
+        self.pulses_us: tuple[int, ...] = tuple(output.start_us for output in self._outputs)
+        """As they are commanded."""
         self._tilt = vehicle.tilt
         self._t_us = 0
 
@@ -24,11 +25,6 @@ class SimPayload:
     def levels(self) -> tuple[float, ...]:
         """Positions of all devices: 0 dark, off, closed; 1 bright, on, open."""
         return tuple(self._levels)
-
-    @property
-    def pulses_us(self) -> tuple[int, ...]:
-        """As they are commanded."""
-        return self._pulses_us
 
     @property
     def camera_off_rad(self) -> float:
@@ -44,9 +40,9 @@ class SimPayload:
         commanded_us = tuple(
             pulse_us or output.start_us for pulse_us, output in zip(pulses_us, self._outputs, strict=False)
         )
-        if commanded_us == self._pulses_us:
+        if commanded_us == self.pulses_us:
             return
-        self._pulses_us = commanded_us
+        self.pulses_us = commanded_us
         for index, pulse_us in enumerate(commanded_us):
             level = self._level(index, pulse_us)
             self._wanted[index] = float(level > 0.5) if self._outputs[index].kind == "relay" else level

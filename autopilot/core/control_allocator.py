@@ -93,7 +93,8 @@ class ControlAllocator:
         self._inverse: dict[bytes, FloatArray | None] = {}
         self._metric = _metric(self._allocation, self._watts)
         self._plain = self._of(self._all)
-        self._square = model.thrusters == AXES and self._plain is not None
+        self.square = model.thrusters == AXES and self._plain is not None
+        """As many thrusters as axes: excess is clipped, as there is no redundancy."""
         self._impossible = np.full((AXES, model.thrusters), np.nan)
 
     @classmethod
@@ -111,7 +112,7 @@ class ControlAllocator:
 
     def thrust_n(self, force: FloatArray, limit_n: FloatArray) -> FloatArray:
         """(..., n) thrust within +-``limit_n`` (n,) (inf = as it comes) for forces (..., 4) X, Y, Z [N], N [N m]."""
-        if self._square and self._plain is not None:
+        if self.square and self._plain is not None:
             return np.clip(force @ self._plain, -limit_n, limit_n)
         inverse = self._of(limit_n > 0.0)
         rows = np.atleast_2d(force)
@@ -121,15 +122,10 @@ class ControlAllocator:
             thrust[i] = self._nearest(rows[i], limit_n)
         return thrust.reshape(*force.shape[:-1], len(limit_n))
 
-    @property
-    def square(self) -> bool:
-        """As many thrusters as axes: excess is clipped, as there is no redundancy."""
-        return self._square
-
     def linear(self, limit_n: FloatArray) -> FloatArray:
         """(4, n) contiguous: forces times that is the thrust of thrusters whose limits (n,) are not reached; not
         finite where those that are left do not make every force."""
-        inverse = self._plain if self._square else self._of(limit_n > 0.0)
+        inverse = self._plain if self.square else self._of(limit_n > 0.0)
         return self._impossible if inverse is None else inverse
 
     def hold_n(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:

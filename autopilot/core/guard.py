@@ -8,7 +8,7 @@ propagates.
 import os
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -68,7 +68,8 @@ class Guard:
         self.raises = os.environ.get(VARIABLE) == "raise" if raises is None else raises
         self.t_us = 0
         """Time of the tick, set by the service."""
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+        """Faults so far, by part."""
         self._pending: list[Fault] = []
         self._described_us: dict[tuple[str, str], int] = {}
 
@@ -92,7 +93,7 @@ class Guard:
         """An exception that was caught. Raises it again where the guard is set to."""
         if self.raises:
             raise error
-        self._counts[part] += 1
+        self.counts[part] += 1
         if len(self._pending) < MAX_PENDING:
             self._pending.append(self._fault(part, error, given))
 
@@ -120,11 +121,6 @@ class Guard:
             return ()
         faults, self._pending = tuple(self._pending), []
         return faults
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Faults so far, by part."""
-        return self._counts
 
 
 def place_of(error: Exception) -> str:

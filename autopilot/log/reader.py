@@ -114,66 +114,62 @@ class Log:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._contents: Contents = read_contents(path)
+        self.contents: Contents = read_contents(path)
+        """Where things are in the file."""
         self._raw: dict[str, _Raw] = {}
         self._tables: dict[str, MessageTable] = {}
         self._clock_checked = False
 
     @property
-    def contents(self) -> Contents:
-        """Where things are in the file."""
-        return self._contents
-
-    @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name; ``run`` is ours."""
-        return self._contents.metadata
+        return self.contents.metadata
 
     @property
     def run(self) -> Mapping[str, str]:
         """The metadata record ``run``, empty if there is none."""
-        return self._contents.metadata.get(RUN_RECORD, {})
+        return self.contents.metadata.get(RUN_RECORD, {})
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
-        return self._contents.attachments
+        return self.contents.attachments
 
     @cached_property
     def description(self) -> RunDescription | None:
         """``run.json``, None for a log without it."""
-        data = self._contents.attachments.get(ATTACHMENT)
+        data = self.contents.attachments.get(ATTACHMENT)
         return None if data is None else from_json(data, str(self.path))
 
     def lacks(self, what: str, remedy: str) -> LogError:
         """The error that it has not what is needed: for its damage, if there is any, else ``remedy`` says more."""
-        if self._contents.problems:
-            remedy = f"'log info' names the loss: {self._contents.problems[0]}"
+        if self.contents.problems:
+            remedy = f"'log info' names the loss: {self.contents.problems[0]}"
         return LogError(f"{self.path}: has {what}; {remedy}")
 
     @property
     def problems(self) -> tuple[str, ...]:
         """Damage and missing parts, empty for a sound log. Chunks are checked when they are read (:meth:`verify`)."""
-        return tuple(self._contents.problems)
+        return tuple(self.contents.problems)
 
     @cached_property
     def topics(self) -> Mapping[str, TopicInfo]:
         """Sorted by name."""
         found: dict[str, TopicInfo] = {}
-        for number, channel in self._contents.channels.items():
-            schema = self._contents.schemas.get(channel.schema_id)
+        for number, channel in self.contents.channels.items():
+            schema = self.contents.schemas.get(channel.schema_id)
             before = found.get(channel.topic)
-            count = self._contents.counts[number] + (before.count if before else 0)
+            count = self.contents.counts[number] + (before.count if before else 0)
             found[channel.topic] = TopicInfo(short_name(schema.name) if schema else "", count)
         return dict(sorted(found.items()))
 
     @property
     def message_count(self) -> int:
-        return sum(self._contents.counts.values())
+        return sum(self.contents.counts.values())
 
     @property
     def duration_s(self) -> float:
         """Time between the first and the last message [s]."""
-        return self._contents.duration_ns * 1e-9
+        return self.contents.duration_ns * 1e-9
 
     @cached_property
     def epoch_ns(self) -> int:
@@ -353,10 +349,10 @@ class Log:
         list of int
             Indices into ``topics``: the n-th 2 is the n-th message of ``topics[2]``.
         """
-        place = {n: topics.index(c.topic) for n, c in self._contents.channels.items() if c.topic in topics}
+        place = {n: topics.index(c.topic) for n, c in self.contents.channels.items() if c.topic in topics}
         found: list[int] = []
         with self.reopened() as file:
-            for chunk in self._contents.chunks:
+            for chunk in self.contents.chunks:
                 try:
                     data = unpack(file, chunk)
                 except Damage:
@@ -371,7 +367,7 @@ class Log:
     def load(self, topics: Iterable[str]) -> None:
         """Read several topics in one pass over the file; unknown topics are ignored."""
         missing = {topic for topic in topics if topic not in self._raw}
-        wanted = {n: c.topic for n, c in self._contents.channels.items() if c.topic in missing}
+        wanted = {n: c.topic for n, c in self.contents.channels.items() if c.topic in missing}
         for topic in missing:
             self._raw[topic] = _Raw([], [])
         if wanted:
@@ -379,7 +375,7 @@ class Log:
 
     def leave_out(self, topic: str, error: LogError) -> None:
         """Report a topic that cannot be read as a problem of the log."""
-        self._contents.problems.append(f"{topic} is left out ({str(error).removeprefix(f'{self.path}: ')})")
+        self.contents.problems.append(f"{topic} is left out ({str(error).removeprefix(f'{self.path}: ')})")
 
     def verify(self) -> tuple[str, ...]:
         """Read and check every chunk; :attr:`topics` then counts the readable messages.
@@ -390,9 +386,9 @@ class Log:
             All problems, empty for a sound log.
         """
         self._read_chunks({})
-        if self._contents.problems:
+        if self.contents.problems:
             with self.reopened() as file:
-                index_from_chunks(file, self._contents)
+                index_from_chunks(file, self.contents)
             self.__dict__.pop("topics", None)
         self.check_clock()
         return self.problems
@@ -424,19 +420,19 @@ class Log:
                 text = (
                     f"{topic}: time goes back by {by:.3f} s after {at:.3f} s; figures over time are not to be trusted"
                 )
-                self._contents.problems.append(text)
+                self.contents.problems.append(text)
                 return
 
     def _read_chunks(self, wanted: Mapping[int, str]) -> None:
         bad = []
         with self.reopened() as file:
-            for chunk in self._contents.chunks:
+            for chunk in self.contents.chunks:
                 try:
                     self._gather(unpack(file, chunk), wanted)
                 except Damage as damage:
-                    self._contents.problems.append(f"{damage}; its messages are left out")
+                    self.contents.problems.append(f"{damage}; its messages are left out")
                     bad.append(chunk)
-        self._contents.chunks = [chunk for chunk in self._contents.chunks if chunk not in bad]
+        self.contents.chunks = [chunk for chunk in self.contents.chunks if chunk not in bad]
 
     def _gather(self, data: bytes, wanted: Mapping[int, str]) -> None:
         """Pick the wanted messages out of the records of one chunk."""
@@ -456,11 +452,11 @@ class Log:
 
     def types(self, topic: str) -> tuple[Types, str]:
         """Message type of a topic with all that it uses. LogError if there is no such topic, or no such schema."""
-        channel = next((c for c in self._contents.channels.values() if c.topic == topic), None)
+        channel = next((c for c in self.contents.channels.values() if c.topic == topic), None)
         if channel is None:
             meant = did_you_mean(topic, self.topics)
             raise LogError(f"{self.path}: has no topic {topic}; {meant}it has {', '.join(self.topics) or 'none'}")
-        schema = self._contents.schemas.get(channel.schema_id)
+        schema = self.contents.schemas.get(channel.schema_id)
         if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
             raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")
         return _parsed(schema.name, schema.data.decode()), schema.name

@@ -174,18 +174,14 @@ class CommandProtocol:
         self._ctx = ctx
         self._source = source
         self._keeps_out = keeps_out
-        self._table = table
+        self.table = table
         self._last: LatestUsed[MavlinkPeer, _Remembered] = LatestUsed(MAX_REMEMBERED)
         self._waiting: LatestUsed[tuple[MavlinkPeer, int], _Waiting] = LatestUsed(MAX_REMEMBERED)
         """By client and command."""
 
-    @property
-    def table(self) -> Mapping[int, CommandRow]:
-        return self._table
-
     def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
         call = call_of(peer, msg)
-        entry = self._table.get(call.command)
+        entry = self.table.get(call.command)
         if entry is None:
             self._ack(peer, call.command, UNSUPPORTED)
             return

@@ -47,8 +47,8 @@ class Operators:
         """``value``: PARAM_VALUE of a parameter, None if it does not exist."""
         self._ctx = ctx
         self._value = value
-        self._owner: MavlinkPeer | None = None
-        """Last address of the owner."""
+        self.owner: MavlinkPeer | None = None
+        """Last address of the owner, None = no owner."""
         self._takeover = False
         self._last_received_us = 0
         self._shown: tuple[int, bool] | None = None
@@ -56,38 +56,33 @@ class Operators:
     @property
     def in_control(self) -> int:
         """MAVLink system id, 0 = none."""
-        return 0 if self._owner is None else self._owner.sysid
-
-    @property
-    def owner(self) -> MavlinkPeer | None:
-        """Last address of the owner, None = no owner."""
-        return self._owner
+        return 0 if self.owner is None else self.owner.sysid
 
     def status(self) -> Message:
         flags = extra.GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER
-        if self._takeover or self._owner is None:
+        if self._takeover or self.owner is None:
             flags |= extra.GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED
         return extra.MAVLink_control_status_message(flags, self.in_control, [0] * 10)
 
     def note_message(self, peer: MavlinkPeer) -> None:
         if peer.sysid == self.in_control:
-            self._owner, self._last_received_us = peer, self._ctx.t_us
+            self.owner, self._last_received_us = peer, self._ctx.t_us
 
     def tick(self) -> None:
         """Release control of an owner that has timed out; changes are reported at once."""
         ctx = self._ctx
-        if self._owner is not None:
+        if self.owner is not None:
             age_s = (ctx.t_us - self._last_received_us) * 1e-6
             if age_s > ctx.params["FS_GCS_TIMEOUT"] * ctx.patience:
                 ctx.say(notices.OPERATOR_SILENT(system=self.in_control))
-                self._owner, self._takeover = None, False
+                self.owner, self._takeover = None, False
         shown = (self.in_control, self._takeover)
         if self._shown is not None and shown != self._shown:
             ctx.broadcast(self.status())
         self._shown = shown
 
     def keeps_out(self, peer: MavlinkPeer) -> bool:
-        return self._owner is not None and peer.sysid != self._owner.sysid
+        return self.owner is not None and peer.sysid != self.owner.sysid
 
     def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:
         """Why this peer may not make changes now, "" = allowed. ``grave``: a change that needs an owner if the
@@ -95,7 +90,7 @@ class Operators:
         """
         if self.keeps_out(peer):
             return self.reason
-        if grave and self._owner is None and self._ctx.params[GUARD] > 0.0:
+        if grave and self.owner is None and self._ctx.params[GUARD] > 0.0:
             return f"Refused: take operator control first ({GUARD})"
         return ""
 
@@ -137,9 +132,9 @@ class Operators:
         if action == 0:
             if self.keeps_out(call.peer):
                 return Reply(CommandReply(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
-            if self._owner is not None:
+            if self.owner is not None:
                 self._ctx.say(notices.OPERATOR_RELEASED(system=self.in_control))
-            self._owner, self._takeover = None, False
+            self.owner, self._takeover = None, False
             return Reply(ACCEPTED)
         if self.keeps_out(call.peer) and not self._takeover:
             self._notify_owner(call)
@@ -148,13 +143,13 @@ class Operators:
             )
         if call.peer.sysid != self.in_control:
             self._ctx.say(notices.OPERATOR_IN_CONTROL(system=call.peer.sysid))
-        self._owner, self._last_received_us = call.peer, self._ctx.t_us
+        self.owner, self._last_received_us = call.peer, self._ctx.t_us
         self._takeover = call.param(2) == 1.0
         return Reply(ACCEPTED)
 
     def _notify_owner(self, call: Call) -> None:
         """Forward the request to the owner, as the same command."""
-        owner = self._owner
+        owner = self.owner
         assert owner is not None
         timeout_s = min(max(call.param(3), _LEAST_S), _MOST_S)
         params = (1.0, call.param(2), timeout_s, float(call.peer.sysid), 0.0, 0.0, 0.0)

@@ -40,7 +40,8 @@ class SigningFiles:
         self.losses: tuple[Loss, ...] = ()
         """The same, to be accepted before arming."""
         clock = max(0, round(((time.time() if now_s is None else now_s) - EPOCH_S) * UNITS_PER_S))
-        self._state = SigningState(key, max(kept or 0, clock))
+        self.state = SigningState(key, max(kept or 0, clock))
+        """The state read at the start."""
         self._written = key
         self._worker = worker or BackgroundWorker()
         self._watchdog: LatestValueWriter[SigningState] = LatestValueWriter(self._worker, self._write)
@@ -54,7 +55,7 @@ class SigningFiles:
             text = "signing time damaged, the machine's clock is in force"
             self.losses = (Loss(text, lambda tick: self._worker.run(self._time.accept)),)
         try:
-            self._write(SigningState(self._state.key, self._state.stamp + AHEAD_UNITS))
+            self._write(SigningState(self.state.key, self.state.stamp + AHEAD_UNITS))
         except OSError as error:
             self._note(error)
 
@@ -74,11 +75,6 @@ class SigningFiles:
     def path(self) -> Path:
         return self._key.path
 
-    @property
-    def state(self) -> SigningState:
-        """The state read at the start."""
-        return self._state
-
     def keep(self, tick: int, state: SigningState) -> None:
         self._watchdog.put(tick, state)
 
@@ -91,10 +87,10 @@ class SigningFiles:
     def write_key(self, key: bytes | None) -> None:
         """Another key, None = none, at once. ConfigError when the disk does not take it."""
         try:
-            self._write(SigningState(key, self._state.stamp))
+            self._write(SigningState(key, self.state.stamp))
         except OSError as error:
             raise ConfigError(f"{self.path}: cannot be written ({cause_of(error)}); check folder and rights") from error
-        self._state = SigningState(key, self._state.stamp)
+        self.state = SigningState(key, self.state.stamp)
 
     def _read_key(self) -> tuple[bytes | None, tuple[str, ...]]:
         path = self.path

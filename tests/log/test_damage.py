@@ -77,7 +77,7 @@ def test_cut_off_anywhere(sound: Path, rows: dict[str, set[bytes]], tmp_path: Pa
         log = read_all(path, rows)
         assert (log is None) == (size < 8)
         if log is not None:
-            assert log.problems and not log._contents.finished
+            assert log.problems and not log.contents.finished
             readable.append(log.message_count)
     assert readable == sorted(readable) and readable[-1] == open_log(sound).message_count
 

@@ -39,11 +39,11 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
 def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
     inside = fuzzer.session.parts.server
     assert set(inside._handlers) == set(HANDLED)
-    assert set(inside._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS}
+    assert set(inside._commands.table) == {*COMMANDS, *EQUIPMENT_COMMANDS}
     pictured = WORLD.parts.server
-    assert set(pictured._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS} - REQUESTS
+    assert set(pictured._commands.table) == {*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS} - REQUESTS
     assert pictured._to_camera is not None
-    assert set(pictured._to_camera._table) == {*CAMERA_COMMANDS, 204, 205, 512, 1000, 1001}
+    assert set(pictured._to_camera.table) == {*CAMERA_COMMANDS, 204, 205, 512, 1000, 1001}
 
 
 def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:

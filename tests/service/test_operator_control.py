@@ -56,7 +56,7 @@ def test_nothing_that_is_handled_changes_anything_for_a_stranger() -> None:
     world.run(0.1)
     traffic = Traffic(3, senders=(Sender(STRANGER),))
     inside = world.parts.server
-    ids, commands = sorted(inside._handlers), sorted(inside._commands._table)
+    ids, commands = sorted(inside._handlers), sorted(inside._commands.table)
     rng = random.Random(4)
     before = state(world)
     for turn in range(10):

@@ -141,8 +141,8 @@ def test_logs_that_cannot_be_replayed_are_named(flown: Path) -> None:
         del attachments[name]
         if data is not None:
             attachments[name] = data
-        log._contents.attachments.clear()
-        log._contents.attachments.update(attachments)
+        log.contents.attachments.clear()
+        log.contents.attachments.update(attachments)
         return log
 
     for name in ("service.json", "start_plans.json", "vehicle.json", "estimator.json"):

@@ -115,8 +115,9 @@ class Margins(NoticeQueue):
         """Reset by the controller at a restart."""
         self.water_speed = WaterSpeed(model)
         """The same."""
-        self._speed_margin_m_s: float | None = None
-        """Back-off of the planar speed by :attr:`water_speed`, None = the tube's."""
+        self.speed_margin_m_s: float | None = None
+        """Back-off of the planar speed limit where drag and thrust have been told apart from the current; negative if
+        the true speed is lower than the estimated one. None = the tube's."""
         self._margin_us: int | None = None
         self._fixed = fixed
         self._reported = False
@@ -148,7 +149,7 @@ class Margins(NoticeQueue):
             self._move_speed_margin(nav.t_us, unknown_m_s, params["SPD_PLANAR_MAX"])
         else:
             self.evidence.reset()
-            self._speed_margin_m_s = None
+            self.speed_margin_m_s = None
 
     def _move_speed_margin(self, t_us: int, unknown_m_s: float, limit_m_s: float) -> None:
         """Move the planar speed margin towards what is known of the true speed, or back to ``unknown_m_s``."""
@@ -161,27 +162,21 @@ class Margins(NoticeQueue):
             # Little knowledge is no reason to go slower than without any.
             target_m_s = min(limit_m_s - left_m_s / bound, max(unknown_m_s, limit_m_s - left_m_s / likely))
             target_m_s = min(target_m_s, TUBE.largest_fraction * limit_m_s)
-        if self._speed_margin_m_s is None:
+        if self.speed_margin_m_s is None:
             if bound is None:
                 return
-            self._speed_margin_m_s = unknown_m_s
-        change_m_s = target_m_s - self._speed_margin_m_s
+            self.speed_margin_m_s = unknown_m_s
+        change_m_s = target_m_s - self.speed_margin_m_s
         step_m_s = min(max(change_m_s, -tuning.shrink_m_s2 * elapsed_s), tuning.grow_m_s2 * elapsed_s)
-        self._speed_margin_m_s += step_m_s
+        self.speed_margin_m_s += step_m_s
         if bound is None and step_m_s == change_m_s:
-            self._speed_margin_m_s = None
-
-    @property
-    def speed_margin_m_s(self) -> float | None:
-        """Back-off of the planar speed limit where drag and thrust have been told apart from the current; negative if
-        the true speed is lower than the estimated one. None = the tube's."""
-        return self._speed_margin_m_s
+            self.speed_margin_m_s = None
 
     def restart(self) -> None:
         """Discard what has been learned, for a restart of the controller."""
         self.evidence.reset()
         self.water_speed.reset()
-        self._speed_margin_m_s = self._margin_us = None
+        self.speed_margin_m_s = self._margin_us = None
 
     def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
         """Back-offs by the parameters alone, for a vehicle at rest with the best estimate: checks of positions must

@@ -31,7 +31,8 @@ class StationKeeper:
     def __init__(self, allocator: ControlAllocator) -> None:
         self._allocator = allocator
         self._samples = unit_samples(STATION.hold_samples)
-        self._target: FloatArray | None = None
+        self.target: FloatArray | None = None
+        """(8,) the place that is held, None = none."""
         self._law: Terminal | None = None
         self._alpha = 0.0
         self._current = np.zeros(3)
@@ -39,30 +40,25 @@ class StationKeeper:
         self.inside = False
         """The last command was that of the local law: the vehicle is in the invariant set."""
 
-    @property
-    def target(self) -> FloatArray | None:
-        """(8,) the place that is held, None = none."""
-        return self._target
-
     def release(self) -> None:
-        self._target, self._law, self.inside = None, None, False
+        self.target, self._law, self.inside = None, None, False
 
     def thrust(self, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
         """Thrust (n,) that holds the place where this began."""
-        if self._target is None:
-            self._target = x.copy()
+        if self.target is None:
+            self.target = x.copy()
         sunk_n = abs(self._allocator.buoyancy_excess_n - self._buoyancy_n)
         flows = float(np.abs(current_ned_m_s - self._current).max()) > STATION.current_step_m_s
         if self._law is None or flows or sunk_n > STATION.buoyancy_step_n:
-            self._make(self._target, current_ned_m_s, limit_n)
+            self._make(self.target, current_ned_m_s, limit_n)
         law = self._law
         self.inside = False
         if law is not None and self._alpha > 0.0:
-            error = region_error(law, x, self._target[:3])
+            error = region_error(law, x, self.target[:3])
             if law.level(error) <= self._alpha:
                 self.inside = True
                 return np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
-        return station_keeping_thrust(self._allocator, x, self._target, current_ned_m_s, limit_n)
+        return station_keeping_thrust(self._allocator, x, self.target, current_ned_m_s, limit_n)
 
     def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:
         self._current, self._buoyancy_n = current.copy(), self._allocator.buoyancy_excess_n

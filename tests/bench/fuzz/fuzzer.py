@@ -191,7 +191,7 @@ class Fuzzer:
         if inside._ctx.signing.key != self._key:
             inside._ctx.signing.set_key(self._key)
             inside._ctx.key_changed()
-        inside._operators._owner = None
+        inside._operators.owner = None
         for link in tuple(inside._ctx.quiet):
             inside._high_latency.end(link)
         for name in parts.params:
