@@ -17,7 +17,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.laser_dot import dot_range
-from autopilot.core.map_errors import STATES, MapErrors
+from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
@@ -48,6 +48,14 @@ class _Match(NamedTuple):
     """(n,) complex, from where it seems to lie to where that one lies,"""
     rays_cam: FloatArray
     """(n, 3) and its ray in the camera frame, z = 1."""
+
+
+class _Laid(NamedTuple):
+    corners: SheetCorners
+    which: tuple[int, ...]
+    """Sheets of the picture."""
+    sigma: FloatArray
+    """(n, 4) of their offsets."""
 
 
 class _Solved(NamedTuple):
@@ -328,17 +336,35 @@ class MarkerSolver:
         rpy: FloatArray,
         sheets: SheetStates | None,
     ) -> _Solved | None:
-        """Least squares over the corners; markers that do not fit are left out and it is done again."""
-        if self._errors is not None and (self._errors.sheet[placed] >= 0).any():
-            return self._refine_on_sheets(sighting, seen, placed, pos, rpy, self._errors, sheets)
+        """Least squares over the corners; markers and sheets that do not fit are left out and it is done again."""
         good = np.ones(len(seen), dtype=bool)
-        best = None
+        best: Pose | SheetPose | None = None
+        laid: _Laid | None = None
+        strained: list[int] = []
 
-        def fit(some: np.ndarray, start_ned_m: FloatArray, max_rms_px: float) -> Pose | None:
-            return self._fit_exact(sighting, seen[some], placed[some], start_ned_m, rpy, max_rms_px)
+        def fit(
+            some: np.ndarray, start_ned_m: FloatArray, max_rms_px: float, laid: _Laid | None = None
+        ) -> Pose | SheetPose | None:
+            laid = self._laid(sighting, seen[some], placed[some]) if laid is None else laid
+            if laid is not None:
+                prior = estimated_offsets(sheets, laid.which, laid.sigma)
+                return fit_on_sheets(self._camera, laid.corners, prior, start_ned_m, rpy, max_rms_px=max_rms_px)
+            return solve_pose(
+                self._camera,
+                self._corners_ned_m[placed[some]].reshape(-1, 3),
+                sighting.corners_px[seen[some]].reshape(-1, 2),
+                start_ned_m,
+                rpy,
+                max_rms_px=max_rms_px,
+                sigma_px=None if sighting.sigma_px is None else np.repeat(sighting.sigma_px[seen[some]], 4),
+            )
 
         for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
-            best = fit(good, pos if best is None else best.pos_ned_m, _max_rms_px(round_left))
+            before, laid = laid, self._laid(sighting, seen[good], placed[good])
+            if before is not None and laid is None:  # all sheets have been left out
+                solved = self._refine(sighting, seen[good], placed[good], pos, rpy, sheets)
+                return None if solved is None else _Solved(replace(solved.fix, strained=tuple(strained)), math.inf)
+            best = fit(good, pos if best is None else best.pos_ned_m, _max_rms_px(round_left), laid)
             if best is None:
                 odd = _odd_one(good, np.arange(int(good.sum())), partial(fit, start_ned_m=pos)) if round_left else None
                 if odd is None:
@@ -349,56 +375,72 @@ class MarkerSolver:
             off_px = _worst_px(best.residual_px.reshape(-1, 4, 2))
             fits = _fitting(off_px)
             if round_left:
-                no_sheets = np.full(len(fits), -1)
-                odd = _odd_one(good, _suspects(fits, off_px, no_sheets), partial(fit, start_ned_m=best.pos_ned_m))
+                sheet = np.full(len(fits), -1) if laid is None else laid.corners.sheet
+                odd = _odd_one(good, _suspects(fits, off_px, sheet), partial(fit, start_ned_m=best.pos_ned_m))
                 if odd is not None:
                     fits = np.arange(len(fits)) != odd
+            if laid is not None and isinstance(best, SheetPose):
+                k = int(best.strain.argmax())
+                mine = laid.corners.sheet == k
+                if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
+                    strained.append(laid.which[k])
+                    fits = ~mine
             if fits.all() or round_left == 0:
                 break
             good[np.flatnonzero(good)[~fits]] = False
         if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
-        focal = None
-        if self._focal_due(sighting.t_us, len(best.residual_px) // 4):
-            corners = sighting.corners_px[seen[good]].reshape(-1, 2)
-            at = self._corners_ned_m[placed[good]].reshape(-1, 3)
-            linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
-            if linear is not None:
-                jacobian = np.column_stack((linear[1], inward_of(corners)))
-                focal = focal_estimate(self._camera, corners, best.residual_px.reshape(-1), jacobian)
+        pixels = sighting.corners_px[seen[good]]
+        due = self._focal_due(sighting.t_us, len(pixels))
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
             stamp_sigma_s=sighting.stamp_sigma_s,
-            focal=focal,
-            z=np.append(best.pos_ned_m, best.rpy_rad[2]),
-            noise=best.covariance,
+            focal=self._focal(best, self._corners_ned_m[placed[good]], pixels) if due else None,
+            z=best.z if isinstance(best, SheetPose) else np.append(best.pos_ned_m, best.rpy_rad[2]),
+            noise=best.noise,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
-            print_error=_print_error(sighting.corners_px[seen[good]], best),
+            strained=tuple(strained),
+            print_error=_print_error(pixels, best),
             fit=_fit(len(seen), best.rms_px, off_px),
         )
+        if laid is not None and isinstance(best, SheetPose):
+            ground = SheetDependence(laid.which, laid.sigma, best.by_offsets, best.at)
+            fix = replace(fix, ground=ground, ties=partial(_ties, best, sighting.t_us, laid.which, laid.sigma))
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
-    def _fit_exact(
-        self,
-        sighting: MarkerSighting,
-        seen: IntArray,
-        placed: IntArray,
-        pos_ned_m: FloatArray,
-        rpy_rad: FloatArray,
-        max_rms_px: float,
-    ) -> Pose | None:
-        """Pose of these markers if they lie where the map has them."""
-        return solve_pose(
-            self._camera,
-            self._corners_ned_m[placed].reshape(-1, 3),
-            sighting.corners_px[seen].reshape(-1, 2),
-            pos_ned_m,
-            rpy_rad,
-            max_rms_px=max_rms_px,
-            sigma_px=None if sighting.sigma_px is None else np.repeat(sighting.sigma_px[seen], 4),
+    def _laid(self, sighting: MarkerSighting, seen: IntArray, placed: IntArray) -> _Laid | None:
+        """Markers of a picture with the sheets that they lie on; None if they are on none."""
+        errors = self._errors
+        numbers = [] if errors is None else errors.sheet[placed].tolist()
+        which = tuple(sorted({number for number in numbers if number >= 0}))
+        if errors is None or not which:
+            return None
+        place = {number: k for k, number in enumerate(which)}
+        corners = SheetCorners(
+            corners_ned_m=self._corners_ned_m[placed],
+            pixels=sighting.corners_px[seen],
+            sheet=np.array([place.get(number, -1) for number in numbers]),
+            pivot_ned_m=errors.pivot_ned_m[list(which)],
+            sigma_m=errors.marker_sigma_m[placed],
+            sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen],
         )
+        return _Laid(corners, which, errors.sigma[list(which)])
+
+    def _focal(
+        self, best: Pose | SheetPose, corners_ned_m: FloatArray, pixels: FloatArray
+    ) -> tuple[float, float] | None:
+        """:attr:`PoseFix.focal` of the markers (n, 4, 3) of a fit, at pixels (n, 4, 2)."""
+        corners, at = pixels.reshape(-1, 2), corners_ned_m.reshape(-1, 3)
+        if isinstance(best, SheetPose):
+            jacobian = best.jacobian()
+        else:
+            linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
+            if linear is None:
+                return None
+            jacobian = np.column_stack((linear[1], inward_of(corners)))
+        return focal_estimate(self._camera, corners, best.residual_px.reshape(-1), jacobian)
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
         """Whether a fit is acceptable as a fix; the reason for a rejection is counted. ``rpy_rad``: the initial
@@ -418,100 +460,6 @@ class MarkerSolver:
             return False
         self._focal_us, self._focal_looks = t_us, self._focal_looks + 1
         return True
-
-    def _refine_on_sheets(
-        self,
-        sighting: MarkerSighting,
-        seen: IntArray,
-        placed: IntArray,
-        pos: FloatArray,
-        rpy: FloatArray,
-        errors: MapErrors,
-        sheets: SheetStates | None,
-    ) -> _Solved | None:
-        strained: list[int] = []
-        good = np.ones(len(seen), dtype=bool)
-        best = None
-
-        def corners_of(some: np.ndarray) -> tuple[SheetCorners, tuple[int, ...]]:
-            of_map, of_image = placed[some], seen[some]
-            numbers = errors.sheet[of_map].tolist()
-            which = tuple(sorted({number for number in numbers if number >= 0}))
-            place = {number: k for k, number in enumerate(which)}
-            corners = SheetCorners(
-                corners_ned_m=self._corners_ned_m[of_map],
-                pixels=sighting.corners_px[of_image],
-                sheet=np.array([place.get(number, -1) for number in numbers]),
-                pivot_ned_m=errors.pivot_ned_m[list(which)],
-                sigma_m=errors.marker_sigma_m[of_map],
-                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[of_image],
-            )
-            return corners, which
-
-        def fit(some: np.ndarray, start_ned_m: FloatArray, max_rms_px: float) -> SheetPose | Pose | None:
-            corners, which = corners_of(some)
-            if not which:
-                return self._fit_exact(sighting, seen[some], placed[some], start_ned_m, rpy, max_rms_px)
-            prior = estimated_offsets(sheets, which, errors.sigma[list(which)])
-            return fit_on_sheets(self._camera, corners, prior, start_ned_m, rpy, max_rms_px=max_rms_px)
-
-        for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
-            corners, which = corners_of(good)
-            if not which:  # all sheets have been left out
-                solved = self._refine(sighting, seen[good], placed[good], pos, rpy, sheets)
-                return None if solved is None else _Solved(replace(solved.fix, strained=tuple(strained)), math.inf)
-            sigma = errors.sigma[list(which)]
-            best = fit_on_sheets(
-                self._camera,
-                corners,
-                estimated_offsets(sheets, which, sigma),
-                pos if best is None else best.pos_ned_m,
-                rpy,
-                max_rms_px=_max_rms_px(round_left),
-            )
-            if best is None:
-                odd = _odd_one(good, np.arange(int(good.sum())), partial(fit, start_ned_m=pos)) if round_left else None
-                if odd is None:
-                    self.counts["misfit"] += 1
-                    return None
-                good[np.flatnonzero(good)[odd]] = False
-                continue
-            off_px = _worst_px(best.residual_px)
-            fits = _fitting(off_px)
-            if round_left:
-                odd = _odd_one(good, _suspects(fits, off_px, corners.sheet), partial(fit, start_ned_m=best.pos_ned_m))
-                if odd is not None:
-                    fits = np.arange(len(fits)) != odd
-            k = int(best.strain.argmax())
-            mine = corners.sheet == k
-            if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
-                strained.append(which[k])
-                fits = ~mine
-            if fits.all() or round_left == 0:
-                break
-            good[np.flatnonzero(good)[~fits]] = False
-        if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
-            return None
-        focal = None
-        if self._focal_due(sighting.t_us, len(corners.sheet)):
-            residual = best.residual_px.reshape(-1)
-            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian())
-        fix = PoseFix(
-            sensor="markers",
-            t_us=sighting.t_us,
-            stamp_sigma_s=sighting.stamp_sigma_s,
-            focal=focal,
-            z=best.z,
-            noise=best.noise,
-            tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
-            sigma_tilt_rad=best.sigma_tilt_rad,
-            ground=SheetDependence(which, sigma, best.by_offsets, best.at),
-            ties=partial(_ties, best, sighting.t_us, which, sigma),
-            strained=tuple(strained),
-            print_error=_print_error(corners.pixels, best),
-            fit=_fit(len(seen), best.rms_px, off_px),
-        )
-        return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
 
 def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray) -> SheetTies | None:

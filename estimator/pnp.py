@@ -35,7 +35,7 @@ class Pose(NamedTuple):
     """(3,)"""
     rpy_rad: FloatArray
     """(3,)"""
-    covariance: FloatArray
+    noise: FloatArray
     """(4, 4) of north, east, down, yaw; floors included."""
     sigma_tilt_rad: float
     """Larger one of the standard deviations of the two tilts."""

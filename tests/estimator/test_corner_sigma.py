@@ -85,7 +85,7 @@ class Board:
                 )
                 assert alone is not None
                 off = np.append(alone.pos_ned_m, wrap_pi(float(alone.rpy_rad[2])))
-                result.append(off @ np.linalg.solve(alone.covariance, off))
+                result.append(off @ np.linalg.solve(alone.noise, off))
         return np.array(result)
 
 
