@@ -146,9 +146,17 @@ AHRS_ATTITUDE_FROZEN = _warning(
 )
 AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
-STAMPS_OFF = _warning(
-    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency",
-    "Images disagree with the gyro in time. If early, the AHRS may be late.",
+STAMPS_JUMPED_BACK = _warning(
+    "{name} stamps jumped {jump_ms:+.0f} ms: check clock, AHRS",
+    "Or the AHRS comes later than before: a delay on its line looks the same.",
+)
+STAMPS_LATE = _warning(
+    "{name} stamps {late_ms:.0f} ms late: calibrate latency", "Images disagree with the gyro in time."
+)
+STAMPS_EARLY = _warning(
+    "{name} stamps {early_ms:.0f} ms early, or AHRS late: check",
+    "Either looks the same.",
+    "Check the AHRS's line for a delay, then calibrate the latency.",
 )
 AHRS_LATE = _warning(
     "AHRS stamps {late_ms:.0f} ms late: set ahrs.time_offset_s",
