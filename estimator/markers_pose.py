@@ -26,6 +26,7 @@ from autopilot.estimator.compiled_fit import LONG, compiled_fit
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE, PNP
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
+from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.pnp import Pose, inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
@@ -484,7 +485,8 @@ class MarkerSolver:
                     fits = np.arange(len(fits)) != odd
             k = int(best.strain.argmax())
             mine = corners.sheet == k
-            if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
+            # The filter would reject the whole picture for the sake of such a sheet.
+            if fits.all() and best.strain[k] > CHI2_999[STATES] and int((~mine).sum()) >= 2:
                 strained.append(which[k])
                 fits = ~mine
             if fits.all() or round_left == 0:

@@ -12,7 +12,7 @@ from makers import Make
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import NavDoubt
+from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.estimator.gauge import common_columns, laid_scales
 from autopilot.estimator.ground import SheetDependence, SheetTies, columns_of
 from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
@@ -77,6 +77,28 @@ def test_a_new_sheet_is_not_held_against_the_position(make_ekf: Make, floor: Mar
         track, _ = flown(make_ekf(markers=told), LaidWorld(true, seed), 0.8)
         worst_mm.append(1e3 * float(np.abs(track.pos_error()[:, :2]).max()))
     assert max(worst_mm) < 12.0, worst_mm
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_floor_with_sheets_that_are_far_off_costs_no_position(make_ekf: Make, floor: MarkerMap, seed: int) -> None:
+    """A third of them lie several standard deviations off. One that the solver kept made the filter reject all pictures
+    of it and its neighbours, and then the camera was called wrong."""
+    rng = np.random.default_rng(seed)
+    told = sheets_of(sparse(floor, 2, None), (0.004, 0.010))
+    true = laid(told, rng, 0.004, 0.010)
+    assert told.errors is not None
+    corners = true.corners_ned_m.copy()
+    for k in range(len(told.errors.names)):
+        mine, way_rad = told.errors.sheet == k, rng.uniform(-math.pi, math.pi)
+        if rng.random() < 0.33:
+            shift_m = 0.028 * np.array([math.cos(way_rad), math.sin(way_rad), 0.0])
+            corners[mine] = turned(corners[mine], 0.0, shift_m)
+    estimator = make_ekf(markers=told)
+    track, _ = flown(estimator, LaidWorld(dataclasses.replace(true, corners_ned_m=corners), seed), FLIGHT_S)
+    assert estimator.counters()["doubt.camera"] == estimator.counters()["resets"] == 0
+    lost = [nav.health is not NavHealth.GOOD for nav in track.after(3.0).nav]
+    assert sum(lost) < 50, "half a second"
+    assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 60.0
 
 
 def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
