@@ -173,6 +173,9 @@ class MapMonitor(Monitor):
         if outlier.marker < 0:
             self._notify(t_us, notices.MARKER_UNKNOWN(number=name).text)
             return
+        if outlier.quarters:
+            self._notify(t_us, notices.MARKER_TURNED(number=name, turn_deg=90 * outlier.quarters).text)
+            return
         north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
         east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])
         direction = _direction(north_m, east_m)

@@ -218,10 +218,20 @@ class MarkerSolver:
         far = off > MARKERS_POSE.outlier_m
         if self._errors is not None:
             far &= self._is_the_marker(taken, off, np.hypot(*moved.T), () if fix.ground is None else fix.ground.sheets)
+        quarters = np.where(far | (taken < 0), 0, self._quarters(sighting.corners_px[match.known], taken, fix.z, r_ned))
+        ids, place = sighting.ids, seen.tolist()
         return tuple(
-            MarkerOutlier(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
-            for n in np.flatnonzero(far)
+            MarkerOutlier(ids[int(match.known[n])], int(taken[n]), place[n][0], place[n][1], int(quarters[n]))
+            for n in np.flatnonzero(far | (quarters > 0))
         )
+
+    def _quarters(self, pixels: FloatArray, taken: IntArray, z: FloatArray, r_ned: FloatArray) -> IntArray:
+        """(n,) quarters of a turn by which markers (n, 4, 2) are seen turned against the map."""
+        drawn = self._camera.project(self._camera.cam_from_ned(self._corners_ned_m[taken], z[:3], r_ned))
+        order = (np.arange(4)[:, None] + np.arange(4)) % 4
+        turns = np.square(drawn[:, order] - pixels[:, None]).sum(axis=(2, 3)).argmin(axis=1)
+        result: IntArray = np.minimum(turns, 4 - turns)
+        return result
 
     def _is_the_marker(
         self, taken: IntArray, off_m: FloatArray, moved_m: FloatArray, sheets: tuple[int, ...]

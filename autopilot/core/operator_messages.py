@@ -196,6 +196,9 @@ MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Ad
 MARKER_OFF = _warning(
     "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
 )
+MARKER_TURNED = _warning(
+    "Marker {number} is turned by {turn_deg} deg against the map", "", "Turn it or correct the map."
+)
 MARKERS_NOWHERE = _warning(
     "Markers in view do not fit the map: check size_m",
     "Several of its ids in each of 90 pictures, and no pose from which they look like that.",

@@ -159,6 +159,24 @@ def test_a_moved_marker_among_few_is_named_and_costs_nothing(
         assert 1e3 * np.abs(track.after(1.0).pos_error()[:, :2]).max() < 8.0
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
+def test_a_turned_marker_is_named_and_costs_nothing(
+    make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, quarters: int
+) -> None:
+    """It lies at its place: it was left out without a word."""
+    told = sparse(floor, 3, sigma)
+    turned_one = int(np.hypot(told.centers_ned_m[:, 0] + 1.6, told.centers_ned_m[:, 1] + 0.35).argmin())
+    corners = told.corners_ned_m.copy()
+    corners[turned_one] = np.roll(corners[turned_one], quarters, axis=0)
+    world = LaidWorld(dataclasses.replace(told, corners_ned_m=corners, errors=None), 5, rest_us=10_000_000)
+    world.d = 0.65
+    track, remarks = flown(make_ekf(markers=told), world, 2.0)
+    turn_deg = 180 if quarters == 2 else 90
+    assert remarks == [f"Marker {told.ids[turned_one]} is turned by {turn_deg} deg against the map"]
+    assert 1e3 * np.abs(track.after(1.0).pos_error()[:, :2]).max() < 8.0
+
+
 def test_swapped_ids_are_named(make_ekf: Make, floor: MarkerMap) -> None:
     a, b = np.argsort(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3))[[0, 6]]
     ids = floor.ids.copy()
