@@ -145,6 +145,11 @@ AHRS_ATTITUDE_FROZEN = _warning(
     "Surface and restart the AHRS.",
 )
 AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
+FIXES_TOO_RARE = _warning(
+    "Fixes {every_s:.1f} s apart: one a second is needed",
+    "The position does not start with them.",
+    "Raise the rate of their source, or use a velocity log and a surface fix.",
+)
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_JUMPED_BACK = _warning(
     "{name} stamps jumped {jump_ms:+.0f} ms: check clock, AHRS",
