@@ -192,11 +192,16 @@ class CameraMonitor(Monitor):
         if jumped_s:
             if abs(jumped_s) >= max(CAMERA_MONITOR.late_s, CAMERA_MONITOR.jump_sigmas * self.stamps.sigma_s):
                 self.stamps.jumped_s, self._late_reported_s = 0.0, late_s
-                self._texts.append(notices.STAMPS_JUMPED(name=self._name, jump_ms=1e3 * jumped_s).text)
+                jumped = notices.STAMPS_JUMPED if jumped_s > 0.0 else notices.STAMPS_JUMPED_BACK
+                self._texts.append(jumped(name=self._name, jump_ms=1e3 * jumped_s).text)
         elif reported_s is None and abs(late_s) >= CAMERA_MONITOR.late_s and sure:
             self._late_reported_s = late_s
-            what = "late" if late_s > 0.0 else "early"
-            self._texts.append(notices.STAMPS_OFF(name=self._name, off_ms=1e3 * abs(late_s), what=what).text)
+            late_ms = 1e3 * late_s
+            self._texts.append(
+                notices.STAMPS_LATE(name=self._name, late_ms=late_ms).text
+                if late_ms > 0.0
+                else notices.STAMPS_EARLY(name=self._name, early_ms=-late_ms).text
+            )
         return changed
 
     @property

@@ -96,11 +96,15 @@ class FixRhythm:
     def note(self, age_us: int) -> None:
         """``age_us``: since the newest fix or velocity over ground that has been used, at every node."""
         if age_us < self._last_us:
-            self._ages_us.append(min(self._last_us, self._longest_us))
-            usual_us = sorted(self._ages_us)[len(self._ages_us) // 2]
-            self.alone_after_us = max(ENGINE.alone_after_us, round(ENGINE.alone_rhythms * usual_us))
-            self.coast_after_us = max(ENGINE.coast_after_us, round(ENGINE.coast_rhythms * usual_us))
+            self.reached(self._last_us)
         self._last_us = age_us
+
+    def reached(self, age_us: int) -> None:
+        """One age that was reached before the next was used."""
+        self._ages_us.append(min(age_us, self._longest_us))
+        usual_us = sorted(self._ages_us)[len(self._ages_us) // 2]
+        self.alone_after_us = max(ENGINE.alone_after_us, round(ENGINE.alone_rhythms * usual_us))
+        self.coast_after_us = max(ENGINE.coast_after_us, round(ENGINE.coast_rhythms * usual_us))
 
 
 class AidedEstimator(Estimator):
@@ -235,9 +239,9 @@ class AidedEstimator(Estimator):
         return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        texts = (text for monitor in self._monitors.all for text in monitor.take_texts())
         sources = self._sources
-        return (*self._attitude.take_texts(), *sources.velocity.take_texts(), *sources.markers.take_texts(), *texts)
+        parts = (self._startup, self._attitude, sources.velocity, sources.markers, *self._monitors.all)
+        return tuple(text for part in parts for text in part.take_texts())
 
     @property
     def refined_map(self) -> MarkerMap | None:
@@ -449,6 +453,10 @@ class AidedEstimator(Estimator):
             self._sources.velocity.drift.fixed(fix.t_us, x)
         self._fusion.begin_at(Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, state))
         aid.last_fused_us = self._sources.begun_us = fix.t_us
+        if self._startup.interval_us is not None:  # else what comes once a second would begin with a gap
+            age_us = round(self._startup.interval_us) + self._fusion.now_us - fix.t_us
+            self._rhythm.reached(age_us)
+            self._fix_rhythm.reached(age_us)
         for inertial in [i for i in self._recent if i.t_us > first.t_us]:
             self._advance(self._fusion.history, inertial)
 

@@ -441,8 +441,6 @@ class MarkersPoseTuning:
     """Markers of the map in a picture in which one may be called an outlier: two against one,"""
     outlier_m: float = 0.012
     """and how far off those are."""
-    strain_most: float = 30.0
-    """Squared distance of a sheet's offset from its estimate, of 4: it lies wrongly, and is left out."""
     steep: float = 0.3
     """A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
     point."""

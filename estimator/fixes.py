@@ -20,6 +20,7 @@ from autopilot.estimator.fix_motion import FixResidual, drift_variance, plausibl
 from autopilot.estimator.fix_trust import DENYING
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import Loosening, Node
+from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.monitors import Monitors
 from autopilot.estimator.sources import Sources
@@ -149,10 +150,21 @@ class Fixes:
         self._map.check_print(fix)
         if not rejected:
             self._map.check_outliers(fix)
-        for sheet in self._map.loosened(fix, rejected=rejected):
+        explaining = self._explaining_sheet(node, fix, self._map) if rejected else None
+        for sheet in self._map.loosened(fix, explaining):
             laid = self._map.laid(sheet)
             self._fusion.history.forget(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_MONITOR.loose_variance))
             self.counts["sheets.loosened"] += 1
+
+    def _explaining_sheet(self, node: Node, fix: PoseFix, floor: MapMonitor) -> int | None:
+        """The sheet of a rejected fix without whose place it would fit best; None if it would with none."""
+        found, least = None, 1.0
+        for sheet in () if fix.ground is None else fix.ground.sheets:
+            loose = self._fusion.core.loosen(node.state, sheet, floor.laid(sheet), MAP_MONITOR.loose_variance)
+            ratio = self._fusion.judge(replace(node, state=loose), fix).test_ratio
+            if ratio <= least:
+                found, least = sheet, ratio
+        return found
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
         """Measurement of the relative sheet offsets, periodically and whenever an image shows a new sheet: until then

@@ -114,13 +114,11 @@ class MapMonitor(Monitor):
             percent, what = 100.0 * abs(self.print_error), "larger" if self.print_error > 0.0 else "smaller"
             self._notify(fix.t_us, notices.PRINT_OFF(percent=percent, what=what).text)
 
-    def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
-        """Sheets whose places become suspect by one picture more."""
+    def loosened(self, fix: PoseFix, explaining: int | None) -> list[int]:
+        """Sheets whose places become suspect by one picture more. ``explaining``: the one that would explain why it was
+        rejected, None = it was not, or none would."""
         result = []
-        suspects = set(fix.strained)
-        if rejected and fix.ground is not None and len(fix.ground.sheets) == 1:
-            suspects.add(fix.ground.sheets[0])
-        for sheet in suspects:
+        for sheet in {*fix.strained, *(() if explaining is None else (explaining,))}:
             times = self._strained.setdefault(sheet, deque(maxlen=MAP_MONITOR.strains))
             times.append(fix.t_us)
             if len(times) == MAP_MONITOR.strains and fix.t_us - times[0] <= MAP_MONITOR.strains_us:
@@ -174,6 +172,9 @@ class MapMonitor(Monitor):
         place.reported = True
         if outlier.marker < 0:
             self._notify(t_us, notices.MARKER_UNKNOWN(number=name).text)
+            return
+        if outlier.quarters:
+            self._notify(t_us, notices.MARKER_TURNED(number=name, turn_deg=90 * outlier.quarters).text)
             return
         north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
         east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])

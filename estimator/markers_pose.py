@@ -26,6 +26,7 @@ from autopilot.estimator.compiled_fit import LONG, compiled_fit
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE, PNP
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
+from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.pnp import Pose, inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
@@ -225,10 +226,20 @@ class MarkerSolver:
         far = off > MARKERS_POSE.outlier_m
         if self._errors is not None:
             far &= self._is_the_marker(taken, off, np.hypot(*moved.T), () if fix.ground is None else fix.ground.sheets)
+        quarters = np.where(far | (taken < 0), 0, self._quarters(sighting.corners_px[match.known], taken, fix.z, r_ned))
+        ids, place = sighting.ids, seen.tolist()
         return tuple(
-            MarkerOutlier(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
-            for n in np.flatnonzero(far)
+            MarkerOutlier(ids[int(match.known[n])], int(taken[n]), place[n][0], place[n][1], int(quarters[n]))
+            for n in np.flatnonzero(far | (quarters > 0))
         )
+
+    def _quarters(self, pixels: FloatArray, taken: IntArray, z: FloatArray, r_ned: FloatArray) -> IntArray:
+        """(n,) quarters of a turn by which markers (n, 4, 2) are seen turned against the map."""
+        drawn = self._camera.project(self._camera.cam_from_ned(self._corners_ned_m[taken], z[:3], r_ned))
+        order = (np.arange(4)[:, None] + np.arange(4)) % 4
+        turns = np.square(drawn[:, order] - pixels[:, None]).sum(axis=(2, 3)).argmin(axis=1)
+        result: IntArray = np.minimum(turns, 4 - turns)
+        return result
 
     def _is_the_marker(
         self, taken: IntArray, off_m: FloatArray, moved_m: FloatArray, sheets: tuple[int, ...]
@@ -382,7 +393,8 @@ class MarkerSolver:
             if laid is not None and isinstance(best, SheetPose):
                 k = int(best.strain.argmax())
                 mine = laid.corners.sheet == k
-                if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
+                # The filter would reject the whole picture for the sake of such a sheet.
+                if fits.all() and best.strain[k] > CHI2_999[STATES] and int((~mine).sum()) >= 2:
                     strained.append(laid.which[k])
                     fits = ~mine
             if fits.all() or round_left == 0:

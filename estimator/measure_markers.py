@@ -92,8 +92,11 @@ class MarkersAid(Remarks, FixAid[PoseSample | MarkerSighting]):
         self, sighting: MarkerSighting, solver: MarkerSolver, inertial: Inertial, *sheets: SheetStates
     ) -> PoseFix | None:
         """Pose by a search over the whole floor. That the map is another floor's, or its sizes are wrong, is reported
-        once until a fix is used."""
+        once until a fix is used; from then on a few markers that happen to fit are no pose."""
         fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets)
+        few = fix is None or fix.fit is None or fix.fit.used < MARKERS_POSE.nowhere_markers
+        if few and self._unlocated >= MARKERS_POSE.nowhere_pictures:
+            fix = None
         if fix is not None:
             self._unlocated = 0
         elif solver.known_in(sighting) >= MARKERS_POSE.nowhere_markers:

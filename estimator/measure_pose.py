@@ -48,7 +48,7 @@ class SheetDependence(NamedTuple):
 
 
 class MarkerOutlier(NamedTuple):
-    """A marker seen where the map does not have it."""
+    """A marker seen where the map does not have it, or otherwise turned."""
 
     code: int
     """Its id, see :data:`autopilot.core.markers.ID_SPAN`."""
@@ -57,6 +57,8 @@ class MarkerOutlier(NamedTuple):
     north_m: float
     east_m: float
     """Where it is seen."""
+    quarters: int = 0
+    """Quarters of a turn, 1 or 2, that it is turned by at its place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

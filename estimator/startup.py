@@ -2,9 +2,13 @@
 
 import math
 from collections import deque
+from itertools import pairwise
+from statistics import median
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.remarks import Remarks
 
 AGREE_COUNT = 3
 """Fixes that must agree, the newest among them."""
@@ -18,11 +22,19 @@ TURN_RAD_S = 1.2
 """Fixes agree if they lie within AGREE plus what the vehicle can have moved in between."""
 
 
-class StartUp:
-    """Collects fixes until enough are consistent."""
+class StartUp(Remarks):
+    """Collects fixes until enough are consistent; that they are too rare for that is reported once."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._fixes: deque[PoseFix] = deque(maxlen=12)
+        self._reported = False
+
+    @property
+    def interval_us(self) -> float | None:
+        """Usual time between two fixes, None before the second."""
+        times_us = sorted(fix.t_us for fix in self._fixes)
+        return median(b - a for a, b in pairwise(times_us)) if len(times_us) > 1 else None
 
     def offer(self, fix: PoseFix) -> bool:
         """True if ``fix`` can be accepted: at least two others agree with it, of the last second or the newest two."""
@@ -30,7 +42,14 @@ class StartUp:
         windows_us = (SLOW_WINDOW_US if k < AGREE_COUNT - 1 else WINDOW_US for k in range(len(nearest)))
         others = [f for f, window_us in zip(nearest, windows_us, strict=True) if abs(fix.t_us - f.t_us) <= window_us]
         self._fixes.append(fix)
-        return 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT
+        accepted = 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT
+        steps_us = self.interval_us
+        rare = steps_us is not None and (AGREE_COUNT - 1) * steps_us > SLOW_WINDOW_US
+        alike = len(nearest) >= AGREE_COUNT - 1 and all(agree(fix, other) for other in nearest[: AGREE_COUNT - 1])
+        if steps_us is not None and rare and alike and not accepted and not self._reported:
+            self._reported = True
+            self._texts.append(notices.FIXES_TOO_RARE(every_s=1e-6 * steps_us).text)
+        return accepted
 
 
 def agree(a: PoseFix, b: PoseFix) -> bool:

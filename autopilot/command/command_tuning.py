@@ -40,6 +40,9 @@ class VehicleStatusTuning:
     """Hold time of a wet probe: splashing water makes and breaks the contact."""
     frozen_readings: int = 20
     """Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
+    frozen_m: float = 0.3
+    """A range that stays the same over so many readings while the vehicle moves by so much is frozen: it moves up and
+    down by a centimetre meanwhile, and echoes scatter by as much."""
     frozen_v: float = 0.02
     frozen_a: float = 0.05
     """A power monitor whose readings stay within these,"""

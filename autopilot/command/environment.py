@@ -354,7 +354,7 @@ class Environment:
         elif isinstance(sample, AltimeterSample):
             sensed.newest[AltimeterSample] = sample
             if sample.confidence >= LEAST_CONFIDENCE:
-                self.status.floor.note("altimeter", t_us, sample.range_m)
+                self.status.note_range(t_us, "altimeter", sample.range_m)
         elif not isinstance(sample, MarkerSighting):
             sensed.newest[type(sample)] = sample
         elif sample.laser_px is not None and self._camera is not None and self.tilt_problem is None:
@@ -371,7 +371,7 @@ class Environment:
 
     def _show_laser(self, t_us: int, sample: LaserSample) -> None:
         self.sensed.newest[LaserSample] = sample
-        self.status.floor.note("laser", t_us, sample.range_m)
+        self.status.note_range(t_us, "laser", sample.range_m)
 
     def _power_weight(self, t_us: int) -> float:
         """Share that a new sample has of the mean power."""

@@ -203,7 +203,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.SENSOR,
         condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or implausible "
-        "for `FS_SENS_TIME`, after it has worked",
+        "for `FS_SENS_TIME`, after it has worked; range to the floor frozen",
         level=lambda v, f: f.silent_s,
         enter="FS_SENS_TIME",
         action="FS_SENS_ACT",

@@ -54,6 +54,19 @@ class _Ranges:
     readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
     """Time and range, multiples left out."""
     echoes: RecentEchoes = field(default_factory=RecentEchoes)
+    held_m: float = NEVER
+    """Its newest range, and since how many readings,"""
+    equal: int = 0
+    held_us: int = 0
+    """since when,"""
+    held_ned_m: FloatArray | None = None
+    """and since which place of the vehicle it has been the same; None = not known."""
+
+    def frozen(self, pos_ned_m: FloatArray | None) -> bool:
+        """Whether it goes on with an old range while the vehicle moves: at rest over a level floor it may."""
+        if self.equal < VEHICLE_STATUS.frozen_readings or pos_ned_m is None or self.held_ned_m is None:
+            return False
+        return math.dist(pos_ned_m, self.held_ned_m) >= VEHICLE_STATUS.frozen_m
 
     def valid_m(self, t_us: int) -> list[float]:
         """Ranges that count, none = the floor is not seen."""
@@ -79,12 +92,19 @@ class FloorRanges:
         length = math.hypot(x, y, z)
         self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))
 
-    def note(self, name: str, t_us: int, range_m: float) -> None:
-        """One reading of a sensor, along its beam."""
+    def note(self, name: str, t_us: int, range_m: float, pos_ned_m: FloatArray | None = None) -> int | None:
+        """One reading of a sensor, along its beam. Since when it is frozen, None = it is not."""
         ranges = self._ranges[name]
+        if range_m != ranges.held_m:
+            ranges.held_m, ranges.held_us, ranges.held_ned_m, ranges.equal = range_m, t_us, pos_ned_m, 0
+        ranges.equal += 1
+        if ranges.frozen(pos_ned_m):
+            ranges.readings.clear()
+            return ranges.held_us
         # A single one at half the range is a fish above the floor.
         if math.isfinite(range_m) and range_m > 0.0 and ranges.echoes.add(t_us, range_m).at_half < 2:
             ranges.readings.append((t_us, range_m))
+        return None
 
     def height_m(self, t_us: int, rpy_rad: FloatArray | None) -> float | None:
         """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
@@ -230,6 +250,14 @@ class VehicleStatus:
         yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.fresh_us else None
         depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.fresh_us else None
         return PositionlessState(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
+
+    def note_range(self, t_us: int, name: str, range_m: float) -> None:
+        """One range to the floor. A sensor that sees none is no fault: it counts as one only while it is frozen."""
+        frozen_us = self.floor.note(name, t_us, range_m, None if self.nav is None else self.nav.pos_ned_m)
+        if frozen_us is None:
+            self.sensors.pop(name, None)
+        else:
+            self.sensors.setdefault(name, _SensorRecord(frozen_us))
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
         """One sample other than AHRS, which arrives at every tick."""

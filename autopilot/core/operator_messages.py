@@ -145,10 +145,23 @@ AHRS_ATTITUDE_FROZEN = _warning(
     "Surface and restart the AHRS.",
 )
 AHRS_ATTITUDE_BACK = _info("AHRS attitude works again")
+FIXES_TOO_RARE = _warning(
+    "Fixes {every_s:.1f} s apart: one a second is needed",
+    "The position does not start with them.",
+    "Raise the rate of their source, or use a velocity log and a surface fix.",
+)
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
-STAMPS_OFF = _warning(
-    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency",
-    "Images disagree with the gyro in time. If early, the AHRS may be late.",
+STAMPS_JUMPED_BACK = _warning(
+    "{name} stamps jumped {jump_ms:+.0f} ms: check clock, AHRS",
+    "Or the AHRS comes later than before: a delay on its line looks the same.",
+)
+STAMPS_LATE = _warning(
+    "{name} stamps {late_ms:.0f} ms late: calibrate latency", "Images disagree with the gyro in time."
+)
+STAMPS_EARLY = _warning(
+    "{name} stamps {early_ms:.0f} ms early, or AHRS late: check",
+    "Either looks the same.",
+    "Check the AHRS's line for a delay, then calibrate the latency.",
 )
 AHRS_LATE = _warning(
     "AHRS stamps {late_ms:.0f} ms late: set ahrs.time_offset_s",
@@ -187,6 +200,9 @@ MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}", 
 MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "", "Add it to the map or remove it.")
 MARKER_OFF = _warning(
     "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "", "Correct the map or the marker."
+)
+MARKER_TURNED = _warning(
+    "Marker {number} is turned by {turn_deg} deg against the map", "", "Turn it or correct the map."
 )
 MARKERS_NOWHERE = _warning(
     "Markers in view do not fit the map: check size_m",

@@ -12,7 +12,7 @@ from makers import Make
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import NavDoubt
+from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.estimator.gauge import common_columns, laid_scales
 from autopilot.estimator.ground import SheetDependence, SheetTies, columns_of
 from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
@@ -79,6 +79,28 @@ def test_a_new_sheet_is_not_held_against_the_position(make_ekf: Make, floor: Mar
     assert max(worst_mm) < 12.0, worst_mm
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_floor_with_sheets_that_are_far_off_costs_no_position(make_ekf: Make, floor: MarkerMap, seed: int) -> None:
+    """A third of them lie several standard deviations off. One that the solver kept made the filter reject all pictures
+    of it and its neighbours, and then the camera was called wrong."""
+    rng = np.random.default_rng(seed)
+    told = sheets_of(sparse(floor, 2, None), (0.004, 0.010))
+    true = laid(told, rng, 0.004, 0.010)
+    assert told.errors is not None
+    corners = true.corners_ned_m.copy()
+    for k in range(len(told.errors.names)):
+        mine, way_rad = told.errors.sheet == k, rng.uniform(-math.pi, math.pi)
+        if rng.random() < 0.33:
+            shift_m = 0.028 * np.array([math.cos(way_rad), math.sin(way_rad), 0.0])
+            corners[mine] = turned(corners[mine], 0.0, shift_m)
+    estimator = make_ekf(markers=told)
+    track, _ = flown(estimator, LaidWorld(dataclasses.replace(true, corners_ned_m=corners), seed), FLIGHT_S)
+    assert estimator.counters()["doubt.camera"] == estimator.counters()["resets"] == 0
+    lost = [nav.health is not NavHealth.GOOD for nav in track.after(3.0).nav]
+    assert sum(lost) < 50, "half a second"
+    assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 60.0
+
+
 def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
     told = sheets_of(floor, (0.002, 0.006))
     moved = int(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3).argmin())
@@ -135,6 +157,24 @@ def test_a_moved_marker_among_few_is_named_and_costs_nothing(
         track, remarks = flown(estimator, world, 3.0)
         assert len(remarks) == 1 and remarks[0].startswith(f"Marker {told.ids[moved]} lies 3.")
         assert 1e3 * np.abs(track.after(1.0).pos_error()[:, :2]).max() < 8.0
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
+def test_a_turned_marker_is_named_and_costs_nothing(
+    make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, quarters: int
+) -> None:
+    """It lies at its place: it was left out without a word."""
+    told = sparse(floor, 3, sigma)
+    turned_one = int(np.hypot(told.centers_ned_m[:, 0] + 1.6, told.centers_ned_m[:, 1] + 0.35).argmin())
+    corners = told.corners_ned_m.copy()
+    corners[turned_one] = np.roll(corners[turned_one], quarters, axis=0)
+    world = LaidWorld(dataclasses.replace(told, corners_ned_m=corners, errors=None), 5, rest_us=10_000_000)
+    world.d = 0.65
+    track, remarks = flown(make_ekf(markers=told), world, 2.0)
+    turn_deg = 180 if quarters == 2 else 90
+    assert remarks == [f"Marker {told.ids[turned_one]} is turned by {turn_deg} deg against the map"]
+    assert 1e3 * np.abs(track.after(1.0).pos_error()[:, :2]).max() < 8.0
 
 
 def test_swapped_ids_are_named(make_ekf: Make, floor: MarkerMap) -> None:

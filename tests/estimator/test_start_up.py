@@ -25,6 +25,15 @@ def test_the_third_fix_of_a_moving_vehicle_starts(rate_hz: float, speed_m_s: flo
     assert [start.offer(fix(t_s, speed_m_s * t_s)) for t_s in times_s] == [False, False, True]
 
 
+@pytest.mark.parametrize(("rate_hz", "reported"), [(0.7, True), (1.0, False)])
+def test_a_source_that_is_too_slow_is_told_so_once(rate_hz: float, reported: bool) -> None:
+    """*No position yet* for good, and nothing that said why."""
+    start = StartUp()
+    started = [start.offer(fix(k / rate_hz)) for k in range(12)]
+    assert any(started) is not reported
+    assert start.take_texts() == (("Fixes 1.4 s apart: one a second is needed",) if reported else ())
+
+
 @given(RATES_HZ, st.lists(st.integers(0, 1000), min_size=3, max_size=12, unique=True))
 def test_fixes_from_everywhere_start_nothing(rate_hz: float, places: list[int]) -> None:
     start = StartUp()

@@ -30,6 +30,8 @@ class FloorWorld(PilotedWorld):
     """Share of readings of twice the range."""
     confidence = 1.0
     """Of a sonar's double."""
+    frozen_m: float | None = None
+    """A sonar's range that it goes on with."""
 
     def samples(self) -> tuple[Sample, ...]:
         said = super().samples()
@@ -41,6 +43,7 @@ class FloorWorld(PilotedWorld):
         range_m = (1 + twice) * (self.height - mount.position_frd_m[2])
         if self.sonar:
             confidence = self.confidence if twice else 1.0
+            range_m = range_m if self.frozen_m is None else self.frozen_m
             return (*said, AltimeterSample(t_us=self.t_us, range_m=range_m, sigma_m=0.01, confidence=confidence))
         noise_m = 0.004 * math.sin(1.7 * self.t_us * 1e-4)
         return (*said, LaserSample(t_us=self.t_us, range_m=range_m + noise_m, sigma_m=0.01))
@@ -150,6 +153,24 @@ def test_a_slow_sonar_is_no_floor_that_is_lost_again_and_again() -> None:
     world.ranges = False
     world.steer(6.0)
     assert world.texts().count("No range to the floor: holding depth") == 1
+
+
+def test_a_sonar_that_is_frozen_is_named_and_not_followed() -> None:
+    """It was trusted for good: over a floor that rose the vehicle held its depth, and nobody was told."""
+    world = tracking(start=(-1.6, 0.5, 0.6, 0.0), params={"FS_SENS_TIME": 1.0})
+    world.sonar = True
+    world.steer(2.0)
+    world.floor, world.frozen_m = ridge(0.6), 0.75
+    world.steer(1.5)
+    assert "to the floor" not in world.texts(), "a vehicle at rest over a flat floor"
+    world.heights(6.0, x=350)
+    texts = world.texts()
+    assert texts.count("No range to the floor: holding depth") == 1, texts
+    assert texts.count("Failsafe: altimeter silent or frozen") == 1, texts
+    world.frozen_m = None
+    world.steer(2.0)
+    assert "Failsafe over: altimeter silent or frozen" in world.texts()
+    assert "Range to the floor is back: holding height" in world.texts()
 
 
 @pytest.mark.parametrize(
