@@ -168,6 +168,8 @@ class Commander:
         """Arm unless a check fails; ``force`` skips the checks and is logged. It starts no mission."""
         if self._modes.armed:
             return ACCEPTED
+        if self._disarming.refusal is not None:
+            return self._disarming.refusal
         reasons = self.prearm_reasons()
         if reasons and (not force or not self._plans.placed):
             waits = reasons == (CHECKING,) or force

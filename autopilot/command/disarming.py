@@ -11,9 +11,11 @@ from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 CONFIRM_US = 3_000_000
 """Twelve requests: then the failure is reported. Requests continue until it is disarmed."""
 
-ARMED_ANEW = "Disarming cancelled: armed again"
-
 WAITING = CommandReply(result=CommandResult.IN_PROGRESS)
+BUSY = CommandReply(
+    result=CommandResult.TEMPORARILY_REJECTED,
+    reason="Arming denied: flight controller is being disarmed, try again",
+)
 
 
 class Disarming:
@@ -38,9 +40,13 @@ class Disarming:
         else:
             self.waits, self._since_us, self._reported, self.answer = True, None, False, WAITING
 
+    @property
+    def refusal(self) -> CommandReply | None:
+        """Of an arming meanwhile: the flight controller would obey the disarming after it, as if its pilot had
+        disarmed it. None when there is nothing to wait for."""
+        return BUSY if self.answer is WAITING else None
+
     def give_up(self) -> None:
-        if self.answer is WAITING:
-            self.answer = CommandReply(result=CommandResult.FAILED, reason=ARMED_ANEW)
         self.waits = False
 
     def step(self, t_us: int, below: FlightControllerState | None) -> None:

@@ -237,7 +237,7 @@ class MissionRun:
             nav.pos_ned_m[:2],
             first_seq,
             self._speed_m_s(nav),
-            lambda places: np.tile(current, (len(places), 1)),
+            lambda places: np.broadcast_to(current, places.shape),
         )
 
     def _detours_upstream(self, nav: NavState) -> bool:

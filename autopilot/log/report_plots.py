@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from bokeh.models import ColumnDataSource
 from bokeh.palettes import viridis
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import lengths_m
@@ -360,10 +361,8 @@ class Plots:
         for topic, name in (("/in/mavlink", "received"), ("/out/mavlink", "sent")):
             table = flight.table(topic)
             if table is not None and len(table):
-                counts = np.bincount((table["t_us"] // 1_000_000).clip(0))
-                rates.append(
-                    Curve(name=name, t_s=np.arange(len(counts), dtype=float), values=counts.astype(float), steps=True)
-                )
+                at_s, counts = per_second(table["t_us"])
+                rates.append(Curve(name=name, t_s=at_s, values=counts, steps=True))
         plots["MAVLink messages per second"] = self._sheet.plot("messages [1/s]", rates)
         tick = ("longest tick of a second", "tick_s")
         plots["Loop"] = self._of("/sys/loop", "time [ms]", tick, scale=1e3, bounds=(TICK_MS,), log_scale=True)
@@ -532,6 +531,15 @@ def clearances(flight: FlightRecord) -> list[Curve]:
         if limit is not None:
             curves.append(Curve(name=name, t_s=t_s, values=sign * (track.pos_ned_m[:, 2] - limit)))
     return curves
+
+
+def per_second(t_us: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Seconds and how many messages came in each, 0 from where a silence begins: of a log whose clock was set within
+    it, decades of silence are one point."""
+    at_s, counts = np.unique(t_us // 1_000_000, return_counts=True)
+    silent_s = np.setdiff1d(at_s[:-1] + 1, at_s)
+    silences = np.searchsorted(at_s, silent_s)
+    return np.insert(at_s, silences, silent_s).astype(float), np.insert(counts, silences, 0).astype(float)
 
 
 def aimed_yaw(aimed_deg: FloatArray, yaw_deg: FloatArray) -> FloatArray:

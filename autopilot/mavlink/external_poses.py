@@ -66,9 +66,10 @@ class ExternalPoses:
             self._ctx.say(notice, peer)
 
     def _uses(self, peer: MavlinkPeer) -> bool:
-        used = self._sender.takes(peer, self._ctx.t_us)
-        if not used:
-            self._report_once(notices.SECOND_POSES(second=peer.name, first=self._sender.name), peer)
+        used, first = self._sender.takes(peer, self._ctx.t_us), self._sender.peer
+        if not used and first is not None:
+            name = "another one" if first.name == peer.name else first.name
+            self._report_once(notices.SECOND_POSES(second=peer.name, first=name), peer)
         return used
 
     def _add(

@@ -19,7 +19,7 @@ from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import FILES, Pace
 from autopilot.mavlink.context import MavlinkPeer
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
+from autopilot.mavlink.files import LOGS, FolderEntry, OpenFile, folder_entries, parts_of
 from autopilot.mavlink.wire import Message, RawMessage
 
 BURST_PACKETS, BURST_TICKS = 256, 8
@@ -352,8 +352,8 @@ class FileTransfer:
             self._nak(peer, client, request, Error.NOT_FOUND)
             return
         data = b""
-        for name, size in entries[request.offset :]:
-            line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
+        for entry in entries[request.offset :]:
+            line = _line_of(entry)
             if len(data) + len(line) > MAX_DATA:
                 break
             data += line
@@ -381,6 +381,14 @@ class FileTransfer:
         message = RawMessage(mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL, _CRC_EXTRA, payload)
         self._ctx.send(peer, message)
         return message
+
+
+def _line_of(entry: FolderEntry) -> bytes:
+    """Of a listing. A name that is no text, or too long for a message, is skipped but counted, as clients ask for the
+    rest of a folder by the number of its first entry."""
+    name = f"D{entry.name}" if entry.size is None else f"F{entry.name}\t{entry.size}"
+    line = name.encode(errors="replace") + b"\0"
+    return line if entry.name.isprintable() and len(line) <= MAX_DATA else b"S\0"
 
 
 def _wanted(request: FtpPacket) -> int:

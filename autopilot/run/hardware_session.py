@@ -17,6 +17,7 @@ from autopilot.core.origin_params import params_origin
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
 from autopilot.log.description import RunDescription
+from autopilot.log.writer import FIRST_EPOCH_NS, LAST_EPOCH_NS
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import KnownEnvironment, forecast_of
@@ -94,8 +95,9 @@ class HardwareWorld(World):
         parts.equipment.leave_out(self.device.unwired)
 
     def epoch_ns(self, t_us: int) -> int:
-        """By the clock of now, which may have been set since the start."""
-        return time.time_ns() - 1000 * t_us
+        """By the clock of now, which may have been set since the start. Of one that is decades off (no battery, no
+        network) the nearest time that a log can hold: a log with wrong dates is better than none."""
+        return min(max(time.time_ns() - 1000 * t_us, FIRST_EPOCH_NS), LAST_EPOCH_NS - 1)
 
     def describe(self, parts: ServiceParts) -> RunDescription:
         return describe_service(parts, self._config.file.place.name)

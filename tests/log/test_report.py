@@ -14,7 +14,7 @@ from autopilot.log.analysis import FlightRecord, load_flight
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.log.report_draw import LEFT_PX, RIGHT_PX, Curve, TimeSheet, density, histogram
-from autopilot.log.report_plots import Plots, aimed_yaw, same_turn, unwrapped_deg
+from autopilot.log.report_plots import Plots, aimed_yaw, per_second, same_turn, unwrapped_deg
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +181,12 @@ def test_spectra_show_what_swings() -> None:
     assert hz[int(power.argmax())] == pytest.approx(7.0, abs=0.15)
     assert float(np.sum(power) * (hz[1] - hz[0])) == pytest.approx(2.0, rel=0.05)  # variance of the sine
     assert density(t_s[:20], t_s[:20]) is None
+
+
+def test_messages_are_counted_in_each_second_and_a_silence_of_decades_is_drawn_at_once() -> None:
+    at_s, counts = per_second(np.array([100, 900_000, 1_200_000, 4_000_000, 4_000_001, 2 * 10**15]))
+    assert at_s.tolist() == [0.0, 1.0, 2.0, 4.0, 5.0, 2e9]
+    assert counts.tolist() == [2.0, 1.0, 0.0, 2.0, 0.0, 1.0]
 
 
 def test_rows_are_tinted_and_notes_can_be_read(page: Path) -> None:

@@ -80,9 +80,12 @@ def test_what_is_not_used(world: World) -> None:
     assert sum("ODOMETRY in frame 4" in text for text in texts) == 1
 
 
-def test_of_two_senders_one_is_used_and_the_other_told_until_the_first_is_silent(world: World) -> None:
-    """They measure in frames of their own and count resets of their own."""
-    first, second = world.client(sysid=50, compid=197), world.client(sysid=51, compid=197, number=1)
+@pytest.mark.parametrize(("sysid", "whose"), [(51, "50/197"), (50, "another one")])
+def test_of_two_senders_one_is_used_and_the_other_told_until_the_first_is_silent(
+    world: World, sysid: int, whose: str
+) -> None:
+    """They measure in frames of their own and count resets of their own, also two that are set up alike."""
+    first, second = world.client(sysid=50, compid=197), world.client(sysid=sysid, compid=197, number=1)
 
     def used() -> list[float]:
         first.send(vision(x=1.0))
@@ -92,7 +95,7 @@ def test_of_two_senders_one_is_used_and_the_other_told_until_the_first_is_silent
 
     assert [used() for _ in range(50)] == [[1.0]] * 50
     texts = [message.text for message in second.rx if message.get_type() == "STATUSTEXT"]
-    assert texts == ["Poses of 51/197 not used: 50/197 sends some"]
+    assert texts == [f"Poses of {sysid}/197 not used: {whose} sends some"]
     world.run(2.1)
     second.send(vision(x=2.0))
     world.tick()

@@ -217,6 +217,17 @@ def test_folders_list_themselves(folder: Path) -> None:
     assert ftp.ask(Op.LIST, data=b"@MAV_LOG/2026-11-24") == (Op.NAK, bytes((Error.NOT_FOUND,)))
 
 
+def test_a_name_that_cannot_be_listed_hides_none_behind_it(folder: Path) -> None:
+    names = (b"10_00_00.mcap", b"a" * 245 + b".mcap", b"b\tc.mcap", "\u00fc\u2603.mcap".encode(), b"\xff.mcap")
+    (folder / "2026-11-22").mkdir()
+    for name in names:
+        Path(os.fsdecode(os.fsencode(folder / "2026-11-22") + b"/" + name)).write_bytes(b"log")
+    client = world_with(folder).client()
+    assert sorted(listed(Ftp(client), "@MAV_LOG/2026-11-22")) == sorted(
+        [b"F10_00_00.mcap\t3", b"S", b"S", b"S", "F\u00fc\u2603.mcap\t3".encode()]
+    )
+
+
 def test_nothing_outside_of_the_folder_is_read_and_nothing_is_written(folder: Path) -> None:
     a_log(folder, "2026-11-22/10_00_00.mcap", 10)
     secret = a_log(folder.parent, "secret.mcap", 10, seed=2)

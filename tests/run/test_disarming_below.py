@@ -165,6 +165,19 @@ def test_a_request_or_an_answer_that_is_lost_is_made_up_for(make: Callable[..., 
         tank.fly()
 
 
+def test_an_arming_that_comes_before_the_disarming_is_confirmed_is_put_off(make: Callable[..., Watched]) -> None:
+    tank = make()
+    tank.fly()
+    tank.ask(*DISARM)
+    tank.tick(1)
+    tank.ask(400, 1.0, 0.0)
+    tank.tick(2)
+    assert [answer for answer, _ in tank.answers] == [CommandResult.TEMPORARILY_REJECTED]
+    tank.tick(50)
+    assert not tank.below.armed and not tank.reported("disarmed by pilot"), "it was us"
+    tank.fly()
+
+
 def test_on_the_very_first_tick_nothing_is_accepted_that_is_not_known(make: Callable[..., Watched]) -> None:
     tank = make()
     tank.below._arm(0)

@@ -297,11 +297,14 @@ def test_the_slowest_leg_is_named_with_its_time() -> None:
         for k, place in enumerate(places)
     ]
 
+    asked = []
+
     def stream(places: np.ndarray) -> np.ndarray:
+        asked.append(len(places))
         return np.tile([-0.355, 0.0], (len(places), 1))
 
     leg = slowest_leg(steps, np.array([1.0, 0.0]), 0, 0.37, stream)
-    assert leg is not None
+    assert leg is not None and len(asked) == 1, "a mission of hundreds of legs starts within a tick"
     assert leg.text(0.01) == "Item 1 is upstream: 0.015 m/s left, 12 min"
     assert leg.text(0.02) == "Item 1 is out of reach: current 0.35 m/s"
     assert slowest_leg(steps[:1], None, 0, 0.37, stream) is None
