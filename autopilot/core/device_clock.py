@@ -58,9 +58,12 @@ class DeviceClock(NoticeQueue):
         None for a sample that cannot be stamped: a stamp of before, or a clock that has just jumped."""
         if self._stands and device_us != self._raw_us:
             self.begin()
+        repeated = device_us == self._raw_us
         step_us = self._step(device_us)
-        if self._stopped(arrival_us, step_us):
+        if self._stopped(arrival_us, repeated=repeated):
             stamped: int | None = arrival_us
+        elif repeated:  # an equal stamp says nothing about the difference of the clocks
+            stamped = None
         else:
             self._device_us += step_us
             stamped = self._stamped(arrival_us, step_us)
@@ -77,9 +80,9 @@ class DeviceClock(NoticeQueue):
         """The service's time minus the device's, mean latency included, modulo the range of its counter."""
         return self._offset_us
 
-    def _stopped(self, arrival_us: int, step_us: int) -> bool:
+    def _stopped(self, arrival_us: int, *, repeated: bool) -> bool:
         """Whether the clock stands still while samples arrive."""
-        if step_us:
+        if not repeated:
             self._moved_us, self._still = arrival_us, 0
             return False
         self._still += 1
@@ -115,16 +118,13 @@ class DeviceClock(NoticeQueue):
         run.take(arrival_us, difference, self._device_us)
         run.jumped |= skips or difference < self._least_us - CLOCK.most_latency_us
         if run.far:
-            stamped = self._when_far(arrival_us, difference, run)
-            return stamped if step_us else None
+            return self._when_far(arrival_us, difference, run)
         lasts = run.side < 0 or arrival_us - run.since_us >= CLOCK.withheld_us
         self._least_us = min(self._least_us, difference)
         if run.side and lasts and run.is_steady(arrival_us):
             self._anchor(run.middle)
         else:
             self._follow(error)
-        if step_us == 0:
-            return None
         return arrival_us if self._not_usable(arrival_us) else self._by_clock(arrival_us)
 
     def _by_clock(self, arrival_us: int) -> int:

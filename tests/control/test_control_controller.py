@@ -217,19 +217,25 @@ def test_free_heading_looks_along_the_route(controller: MotionController) -> Non
     assert flight.reached_s
 
 
-@pytest.mark.parametrize("offset_m", [0.0, 0.05])
-def test_obstacle_on_the_line_and_pocket_are_passed(controller: MotionController, offset_m: float) -> None:
-    line = Fence(exclusions=(Circle(center_ned_m=np.array([0.0, offset_m]), radius_m=0.5),), depth_max_m=5.0)
-    cup = ((0.0, 0.0), (0.0, 0.35), (0.0, -0.35), (-0.5, 0.65), (-0.5, -0.65))
-    pocket = Fence(exclusions=tuple(Circle(center_ned_m=np.array(c), radius_m=0.3) for c in cup), depth_max_m=5.0)
-    for fence in (line, pocket):
-        flight = fly(
-            controller, [goal(2.0, 0.0, 0.5, None)], [-2, 0, 0.5, 0, 0, 0, 0, 0], fence=fence, params=DEEP, limit_s=30.0
-        )
-        assert flight.reached_s, "stuck"
-        assert controller._planner is not None
-        assert controller._planner.features.clearance_m(flight.x[:, :2]).min() > 0.3
-        controller.reset()
+CUP = ((0.0, 0.0), (0.0, 0.35), (0.0, -0.35), (-0.5, 0.65), (-0.5, -0.65))
+
+
+@pytest.mark.parametrize(
+    ("centers_m", "radius_m"),
+    [(((0.0, 0.0),), 0.5), (((0.0, 0.05),), 0.5), (CUP, 0.3)],
+    ids=["on the line", "beside the line", "pocket"],
+)
+def test_obstacle_on_the_line_and_pocket_are_passed(
+    controller: MotionController, centers_m: tuple[tuple[float, float], ...], radius_m: float
+) -> None:
+    circles = tuple(Circle(center_ned_m=np.array(center), radius_m=radius_m) for center in centers_m)
+    fence = Fence(exclusions=circles, depth_max_m=5.0)
+    flight = fly(
+        controller, [goal(2.0, 0.0, 0.5, None)], [-2, 0, 0.5, 0, 0, 0, 0, 0], fence=fence, params=DEEP, limit_s=30.0
+    )
+    assert flight.reached_s, "stuck"
+    assert controller._planner is not None
+    assert controller._planner.features.clearance_m(flight.x[:, :2]).min() > 0.3
 
 
 def test_from_outside_the_workspace_it_comes_back_within_its_limits(controller: MotionController) -> None:

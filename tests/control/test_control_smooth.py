@@ -56,7 +56,9 @@ def test_commands_are_smooth_although_the_estimate_is_not(current, planar_max_m_
     assert found.reversals_1_s < 0.5
 
 
-@pytest.mark.parametrize(("current", "seed"), [(jet, 1), (still, 2)], ids=["jet", "still"])
+@pytest.mark.parametrize(
+    ("current", "seed"), [pytest.param(jet, 1, marks=pytest.mark.long), (still, 2)], ids=["jet", "still"]
+)
 def test_commands_along_trajectories_of_least_energy_are_smooth_from_the_first_leg_on(current, seed: int) -> None:
     """Estimates as above and a first leg of 4 s. Every end is entered from its trajectory: what is missed by
     centimetres is a brake, a turn and a start."""

@@ -2,7 +2,7 @@
 
 import ast
 import runpy
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +26,9 @@ RELAYS = {"runtime.py", "service.py", "session.py"}
 """They make events of what other packages have said."""
 
 
-def _trees() -> Iterator[tuple[str, ast.Module]]:
-    for path in SENDERS:
-        yield path.name, ast.parse(path.read_text(encoding="utf-8"))
+@cache
+def _trees() -> list[tuple[str, ast.Module]]:
+    return [(path.name, ast.parse(path.read_text(encoding="utf-8"))) for path in SENDERS]
 
 
 def _row_of(node: ast.expr) -> str | None:

@@ -34,9 +34,14 @@ def afloat(phase: int = 0) -> MissionWorld:
     """Ready to be armed, so many ticks after a decision."""
     world = MissionWorld()
     world.run(1.5)
+    go_on(world, phase)
+    return world
+
+
+def go_on(world: MissionWorld, phase: int) -> None:
+    """To so many ticks after a decision."""
     while world.t_us // 10_000 % DECISION_TICKS != phase:
         world.tick()
-    return world
 
 
 def test_without_news_decisions_are_taken_20_times_a_second(decided_us: list[int]) -> None:
@@ -47,10 +52,10 @@ def test_without_news_decisions_are_taken_20_times_a_second(decided_us: list[int
     assert len({after - before for before, after in itertools.pairwise(decided_us)}) == 1
 
 
-@pytest.mark.parametrize("phase", PHASES)
-def test_a_request_is_answered_and_acts_on_its_tick(phase: int) -> None:
-    world = afloat(phase)
-    for armed in (1.0, 0.0):
+def test_a_request_is_answered_and_acts_on_its_tick() -> None:
+    world = afloat()
+    for phase, armed in itertools.product(PHASES, (1.0, 0.0)):
+        go_on(world, phase)
         world.inbox.clear()
         message = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, armed, *(0.0,) * 6)
         outputs = world.tick([world.pack(message)])
@@ -58,13 +63,14 @@ def test_a_request_is_answered_and_acts_on_its_tick(phase: int) -> None:
         assert outputs.command.armed == outputs.mode.armed == bool(armed)
 
 
-@pytest.mark.parametrize("phase", PHASES)
-def test_a_device_that_fails_is_decided_upon_at_once(phase: int, decided_us: list[int]) -> None:
-    world = afloat(phase)
-    world.t_us += 10_000
+def test_a_device_that_fails_is_decided_upon_at_once(decided_us: list[int]) -> None:
+    world = afloat()
     trouble = DeviceTrouble(t_us=0, device=DeviceRole.SENSORS, text="cable")
-    world.service.step(Inputs(t_us=world.t_us, samples=world.samples(), troubles=(trouble,)))
-    assert decided_us[-1] == world.t_us
+    for phase in PHASES:
+        go_on(world, phase)
+        world.t_us += 10_000
+        world.service.step(Inputs(t_us=world.t_us, samples=world.samples(), troubles=(trouble,)))
+        assert decided_us[-1] == world.t_us, phase
 
 
 def test_traffic_does_not_change_when_decisions_are_taken(decided_us: list[int]) -> None:

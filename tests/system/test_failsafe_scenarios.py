@@ -35,7 +35,8 @@ def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_ro
         assert row.effects[int(params[row.action])] == case.effect
 
 
-@pytest.mark.parametrize("rule", [pytest.param("SOLVER", marks=pytest.mark.long), "COLLISION"])
+@pytest.mark.long
+@pytest.mark.parametrize("rule", ["SOLVER", "COLLISION"])
 def test_the_failsafe_comes_in_time_and_the_vehicle_ends_as_promised(rule: str) -> None:
     """What takes the longest ways: a controller that is broken, a motion that is felt."""
     case = BY_RULE[Failsafe[rule]]
