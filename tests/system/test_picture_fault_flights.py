@@ -33,7 +33,7 @@ def blamed(result: FaultResult, *names: str) -> bool:
     ("kind", "seed", "keys"),
     [
         ("near_frozen", 2, {"noise_levels": 2.0}),
-        ("repeated", 2, {"pictures": 15}),
+        ("repeated", 1, {"pictures": 15}),
         ("delayed", 4, {"delay_s": 1.0}),
         ("elsewhere", 3, {"offset_m": [0.6, -0.3, 0.0], "yaw_rad": 1.0}),
         ("elsewhere", 5, {"offset_m": [0.4, 0.4, 0.0], "yaw_rad": 0.3}),
