@@ -111,7 +111,6 @@ class MotionController:
         lacking = lacking_thrust(self._model, self._most_n)
         if lacking:
             raise ConfigError(f"vehicle {vehicle.name}: {lacking}")
-        self._moment = MomentEstimator(self._model, response.mean_s)
         self._program = StepProgram(
             allocator,
             grid,
@@ -119,7 +118,6 @@ class MotionController:
             backends,
             desks.certificates,
             tuple(each.name for each in vehicle.thrusters),
-            self._moment,
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._solver_news: list[tuple[Severity, str]] = [notices.SOLVER(name=self.solver)]
@@ -127,6 +125,7 @@ class MotionController:
             self._solver_news.insert(0, notices.SLOWER_SOLVER(name=self.nmpc.solver))
         self._lag = ThrusterLag(self._model, response)
         self._lift = BuoyancyEstimator(self._model, vehicle.hull_half_height_m)
+        self._moment = MomentEstimator(self._model)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(allocator)

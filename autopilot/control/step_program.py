@@ -13,7 +13,6 @@ import numpy as np
 
 from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanClearance, ProgramBounds, largest_gap, left_n
 from autopilot.control.constraints.obstacles import Movers
-from autopilot.control.current.moment import MomentEstimator
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
@@ -23,13 +22,12 @@ from autopilot.control.path.planner import Planner
 from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
-from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
-from autopilot.core.model4 import AXES, YAW, R, U
+from autopilot.core.model4 import AXES, YAW, U
 from autopilot.core.params import ParamSet
 
 CONVERGED_N = 0.05
@@ -93,10 +91,8 @@ class StepProgram:
         backends: tuple[ocp.QpBackend, ...],
         certificates: BackgroundWorker,
         thrusters: tuple[str, ...],
-        moment: MomentEstimator,
     ) -> None:
         """``thrusters``: their names."""
-        self._moment = moment
         model, self._allocator, self._thrusters = allocator.model, allocator, thrusters
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
@@ -153,11 +149,6 @@ class StepProgram:
         if self.margins.speed_margin_m_s is not None:
             planar = np.full_like(back_off.planar_speed_m_s, self.margins.speed_margin_m_s)
             back_off = replace(back_off, planar_speed_m_s=planar)
-        faster_rad_s = self._moment.back_off_rad_s(nmpc.x.item(1, R))
-        if faster_rad_s > 0.0:
-            yaw_rate = back_off.yaw_rate_rad_s + faster_rad_s
-            most = TUBE.largest_fraction * now.params["SPD_YAW_MAX"]
-            back_off = replace(back_off, yaw_rate_rad_s=np.minimum(yaw_rate, most))
         if now.least_cap_m_s:
             most = now.params["SPD_PLANAR_MAX"] - now.least_cap_m_s
             back_off = replace(back_off, planar_speed_m_s=np.minimum(back_off.planar_speed_m_s, most))

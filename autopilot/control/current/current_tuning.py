@@ -162,14 +162,6 @@ class MomentEstimatorTuning:
     follow_s: float = 0.3
     """Low-pass on the residual, about one lag of the thrusters. With 0.1 s the gyros' noise doubles the reversals of
     thrust in the harbour, with 0.6 s a turn begins too fast (`autopilot bench reference`)."""
-    quick_s: float = 0.1
-    """The same of the back-off: two control steps. The gyros' noise is then 0.015 rad/s of it (standard deviation), and
-    with half as much again the start of a turn is seen too late."""
-    counted: float = 0.5
-    """Share of what predictions count on that the back-off leaves out. A start across a current that is not known yet
-    (tests/system/test_turn_limits.py, limit 0.63 rad/s) turns at 0.65 rad/s with 1, at 0.49 with 0."""
-    step_s: float = 0.05
-    """Beside the thrusters' lag a command waits for no more than one control step."""
     longest_s: float = 0.2
     """After a longer pause nothing is known."""
     most_share: float = 0.25

@@ -6,8 +6,7 @@ prediction does not know. Of all motions yaw answers first: within one lag of th
 as much. The residual of the yaw equation, m44 r' - (N - D r + Munk moment), shows it however it comes about
 (disturbance observer: Chen et al. 2016). As with the buoyancy (:mod:`autopilot.control.current.buoyancy`) the
 prediction counts on it: the plan starts at the yaw rate that it will have made when commands act, and is offset-free.
-While it grows, as at the start of a turn, that comes late: the limit of the yaw rate has a back-off for it. With a
-model that is right there is none.
+With a model that is right there is none.
 """
 
 import math
@@ -23,17 +22,15 @@ from autopilot.core.model4 import Model4, forced_acceleration
 class MomentEstimator:
     """:meth:`push` with every thrust, :meth:`update` once per control step; deterministic."""
 
-    def __init__(self, model: Model4, lag_s: float) -> None:
-        """``lag_s``: mean lag of the thrusters."""
+    def __init__(self, model: Model4) -> None:
         self._model, self._row = model, np.array(model.allocation[3])
-        self._lead_s = lag_s + MOMENT_ESTIMATOR.step_s
         self.reset()
 
     def reset(self) -> None:
         """Nothing has been seen."""
         self._last: tuple[int, int, list[float]] | None = None
         self._impulse_nms = self._pushed_s = 0.0
-        self._quick_nm = self.moment_nm = 0.0
+        self.moment_nm = 0.0
         """Beside that of the thrusters [N m]."""
 
     def push(self, acting_n: FloatArray, elapsed_s: float) -> None:
@@ -53,19 +50,11 @@ class MomentEstimator:
         elapsed_s = 0.0 if last is None else (nav.t_us - last[0]) * 1e-6
         usable = pushed_s > 0.0 and 0.0 < elapsed_s <= MOMENT_ESTIMATOR.longest_s
         if last is None or last[1] != nav.reset_count or not usable:
-            self._quick_nm = self.moment_nm = 0.0
+            self.moment_nm = 0.0
             return
         between = [0.5 * (before + now) for before, now in zip(last[2], motion, strict=True)]
         predicted = forced_acceleration(self._model, between, (0.0, 0.0, 0.0, impulse_nms / pushed_s), math)[3]
         residual_nm = self._model.mass_kg[3] * ((motion[3] - last[2][3]) / elapsed_s - predicted)
-        quick = 1.0 - math.exp(-elapsed_s / MOMENT_ESTIMATOR.quick_s)
-        self._quick_nm += quick * (residual_nm - self._quick_nm)
         share = 1.0 - math.exp(-elapsed_s / MOMENT_ESTIMATOR.follow_s)
         most_nm = MOMENT_ESTIMATOR.most_share * np.abs(self._row).dot(limit_n).item()
         self.moment_nm = min(max(self.moment_nm + share * (residual_nm - self.moment_nm), -most_nm), most_nm)
-
-    def back_off_rad_s(self, planned_rad_s: float) -> float:
-        """Back-off of the yaw rate's limit for a plan that turns like this: what the moment, while it grows, adds until
-        commands act; 0 where the vehicle turns no faster."""
-        beyond_nm = self._quick_nm - MOMENT_ESTIMATOR.counted * self.moment_nm
-        return max(0.0, math.copysign(self._lead_s, planned_rad_s) * beyond_nm / self._model.mass_kg[3])

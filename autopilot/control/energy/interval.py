@@ -34,7 +34,7 @@ HEAD = """\
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Interval:
-    """Functions of (q (13,), current (3,), its gradient (4,), place (2,) where it is that, coefficients (14,)); water
+    """Functions of (q (13,), current (3,), its gradient (4,), place (2,) where it is that, coefficients (13,)); water
     as in ``trajectory.Ask``."""
 
     moved: Any

@@ -7,7 +7,7 @@
  *
  * Compiled once per number of thrusters and kind of processor by library.c's build (setup.py): `NU`, the number of
  * thrusters, stands in front of this file, and so does `model_slope` (model.c, generated from the model): dx/dt and its
- * Jacobian with respect to force and state, (x[8], force[4], current[3], coefficients[14]) -> (dx[8], J[8][4 + 8]). The
+ * Jacobian with respect to force and state, (x[8], force[4], current[3], coefficients[13]) -> (dx[8], J[8][4 + 8]). The
  * current along the plan does not depend on the place, so columns of x, y and z are zero.
  */
 #include <math.h>
