@@ -151,7 +151,7 @@ class IpoptNmpc:
             problem.weight_x,
             problem.weight_u,
             problem.terminal,
-            problem.trim,
+            problem.buoyancy_excess_n,
             problem.limits,
             problem.thrust_limit_n,
             problem.plane_n.reshape(-1, 2),

@@ -13,7 +13,6 @@ import numpy as np
 from autopilot.api.arrays import finite, thrust_limit_n
 from autopilot.control.constraints.obstacles import Features
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
-from autopilot.control.nmpc.model_code import trim_of
 from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.path.guidance import Weights
 from autopilot.control.protocol import STEP_S
@@ -169,7 +168,7 @@ class GoalMpc:
                 thrust_limit_n=thrust_limit_n(self.vehicle, params),
                 plane_n=plane_n,
                 plane_d_m=plane_d,
-                trim=np.array(trim_of(model)),
+                buoyancy_excess_n=np.array([model.buoyancy_excess_n]),
             )
         )
 

@@ -12,7 +12,6 @@ from autopilot.control.constraints.obstacles import Movers, fence_key
 from autopilot.control.constraints.tracks import Obstructions
 from autopilot.control.current.buoyancy import BuoyancyEstimator
 from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent
-from autopilot.control.current.moment import MomentEstimator
 from autopilot.control.energy.energy_guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryPlanner
@@ -118,6 +117,7 @@ class MotionController:
             backends,
             desks.certificates,
             tuple(each.name for each in vehicle.thrusters),
+            response.mean_s,
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._solver_news: list[tuple[Severity, str]] = [notices.SOLVER(name=self.solver)]
@@ -125,7 +125,6 @@ class MotionController:
             self._solver_news.insert(0, notices.SLOWER_SOLVER(name=self.nmpc.solver))
         self._lag = ThrusterLag(self._model, response)
         self._lift = BuoyancyEstimator(self._model, vehicle.hull_half_height_m)
-        self._moment = MomentEstimator(self._model)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(allocator)
@@ -188,7 +187,6 @@ class MotionController:
         self._fallbacks.reset()
         self._lag.reset()
         self._lift.reset()
-        self._moment.reset()
         self._inner.stop()
         self._station.release()
         self._stream.reset()
@@ -380,16 +378,14 @@ class MotionController:
         self._lag.follow(self._command, elapsed_s)
         self._lift.push(self._lag.acting_n, elapsed_s)
         self.margins.water_speed.push(self._lag.acting_n, elapsed_s)
-        self._moment.push(self._lag.acting_n, elapsed_s)
+        self.margins.yaw_rate.push(self._lag.acting_n, elapsed_s)
 
     def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
-        """Update the estimated vertical force, which all plans and holds use, and yaw moment, which predictions use."""
+        """Update the estimated vertical disturbance, which all plans and holds use."""
         low_m, high_m = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
         self._lift.update(nav, low_m, high_m, limit_n)
         self._allocator.buoyancy_excess_n = self._lift.excess_n
-        self._moment.update(nav, limit_n)
-        self._allocator.unknown_moment_nm = self._moment.moment_nm
-        self._lag.trim(np.array([self._lift.excess_n, self._allocator.unknown_moment_nm]))
+        self._lag.trim(self._lift.excess_n)
 
     def _state(self, nav: NavState) -> FloatArray:
         x = nav.model4_state()
@@ -487,7 +483,6 @@ class MotionController:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(self._model.thrusters)
         self._lift.forget()
-        self._moment.reset()
         self._plan_age_s = self._yaw_rad = self._stepped = None
         self._inner.stop()
         self._station.release()

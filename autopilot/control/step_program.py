@@ -22,12 +22,13 @@ from autopilot.control.path.planner import Planner
 from autopilot.control.path.reference import unknown_speed_m_s
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
+from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
-from autopilot.core.model4 import AXES, YAW, U
+from autopilot.core.model4 import AXES, YAW, R, U
 from autopilot.core.params import ParamSet
 
 CONVERGED_N = 0.05
@@ -91,11 +92,12 @@ class StepProgram:
         backends: tuple[ocp.QpBackend, ...],
         certificates: BackgroundWorker,
         thrusters: tuple[str, ...],
+        lag_s: float,
     ) -> None:
-        """``thrusters``: their names."""
+        """``thrusters``: their names; ``lag_s``: their mean lag."""
         model, self._allocator, self._thrusters = allocator.model, allocator, thrusters
         self.nmpc = Nmpc(model, grid, backends=backends)
-        self.margins = Margins(model, grid)
+        self.margins = Margins(model, grid, lag_s)
         self.regions = TerminalRegions(allocator, certificates)
         self._bounds = bounds = ProgramBounds(grid, model.thrusters, radius_m)
         self.tube_m = bounds.tube_m
@@ -149,6 +151,11 @@ class StepProgram:
         if self.margins.speed_margin_m_s is not None:
             planar = np.full_like(back_off.planar_speed_m_s, self.margins.speed_margin_m_s)
             back_off = replace(back_off, planar_speed_m_s=planar)
+        faster_rad_s = self.margins.yaw_rate.back_off_rad_s(nmpc.x.item(1, R))
+        if faster_rad_s > 0.0:
+            yaw_rate = back_off.yaw_rate_rad_s + faster_rad_s
+            most = TUBE.largest_fraction * now.params["SPD_YAW_MAX"]
+            back_off = replace(back_off, yaw_rate_rad_s=np.minimum(yaw_rate, most))
         if now.least_cap_m_s:
             most = now.params["SPD_PLANAR_MAX"] - now.least_cap_m_s
             back_off = replace(back_off, planar_speed_m_s=np.minimum(back_off.planar_speed_m_s, most))
@@ -169,7 +176,7 @@ class StepProgram:
                 thrust_limit_n=bounds.thrust_n,
                 plane_n=self._plane_n,
                 plane_d_m=self._plane_d,
-                trim=np.array([self._allocator.buoyancy_excess_n, self._allocator.unknown_moment_nm]),
+                buoyancy_excess_n=np.array([self._allocator.buoyancy_excess_n]),
             )
 
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()

@@ -85,8 +85,6 @@ class ControlAllocator:
         self._model = model
         self.buoyancy_excess_n = model.buoyancy_excess_n
         """Buoyancy minus weight [N] in use; set to the estimated one."""
-        self.unknown_moment_nm = 0.0
-        """About yaw [N m], as it is estimated."""
         self._allocation = np.array(model.allocation)
         self._watts = np.ones(model.thrusters) if watts is None else np.array(watts, dtype=float)
         self._all = np.ones(model.thrusters, dtype=bool)

@@ -47,8 +47,6 @@ class Model4:
     allocation: tuple[tuple[float, ...], ...]
     """T_A (4, n): rows X, Y, Z [N], N [N m]; one column per thruster. Nothing but these columns says what a thruster
     does."""
-    unknown_moment_nm: float = 0.0
-    """About yaw, beside that of the thrusters [N m]: as it has shown itself, not a property of the vehicle."""
 
     @property
     def thrusters(self) -> int:
@@ -91,7 +89,7 @@ def forced_acceleration(model: Model4, nu: Sequence[Any], forces: Sequence[Any],
         (forces[0] - drag[0] + m22 * v * r) / m11,
         (forces[1] - drag[1] - m11 * u * r) / m22,
         (forces[2] - drag[2] - model.buoyancy_excess_n) / m33,
-        (forces[3] - drag[3] + model.unknown_moment_nm + (m11 - m22) * u * v) / m44,
+        (forces[3] - drag[3] + (m11 - m22) * u * v) / m44,
     ]
 
 

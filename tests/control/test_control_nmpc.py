@@ -12,7 +12,6 @@ from autopilot.control.constraints.obstacles import Features
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc import solver as native
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
-from autopilot.control.nmpc.model_code import trim_of
 from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
 from autopilot.control.path.planner import Planner
 from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route
@@ -53,7 +52,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
         thrust_limit_n=np.full(4, 12.0),
         plane_n=normals,
         plane_d_m=offsets,
-        trim=np.array(trim_of(MODEL)),
+        buoyancy_excess_n=np.array([MODEL.buoyancy_excess_n]),
     )
 
 

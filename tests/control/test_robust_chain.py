@@ -180,13 +180,16 @@ def test_nothing_to_follow_means_no_inner_loop() -> None:
 
 
 @pytest.mark.parametrize("inner", [True, False])
-def test_yaw_is_held_under_a_slow_optimiser(inner: bool) -> None:
-    """Munk: at 0.5 m/s with a step every 0.2 s and a push on the yaw, with the inner loop and without."""
+def test_the_inner_loop_holds_yaw_under_a_slow_optimiser(inner: bool) -> None:
+    """Munk: at 0.5 m/s with a step every 0.2 s and a push on the yaw; see autopilot.analysis.munk for the table."""
     from autopilot.analysis.munk import munk_case
 
     row = munk_case(inner=inner, seconds=8.0)
     assert row.speed_m_s > 0.42
-    assert row.yaw_rms_deg < 2.0
+    if inner:
+        assert row.yaw_rms_deg < 2.0
+    else:
+        assert row.yaw_rms_deg > 1.2 * munk_case(inner=True, seconds=8.0).yaw_rms_deg
 
 
 def test_the_vehicle_is_where_its_plans_said_within_the_tube() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from system_harness import OpenSession
 
 from autopilot.campaign.worlds.distance_map import DistanceMap
 from autopilot.campaign.worlds.random_world import KINDS, RandomWorld, files_of, make_world, write_files
@@ -263,14 +262,3 @@ def test_a_wall_without_a_way_is_refused_by_the_service_itself(room: int, mode: 
     assert result.outcome is WorldOutcome.REFUSED
     assert reason in result.what
     assert (result.room, result.mode, result.seed) == (room, mode, 1_000_000 + room)
-
-
-def test_a_hull_of_other_masses_keeps_its_yaw_rate(tmp_path: Path, session: OpenSession) -> None:
-    """A moment of 3 rad/s^2 that the file does not know turned room 19 of seed 551 at 0.83 of 0.69 rad/s."""
-    write_files(make_world(551_000_019), tmp_path, mode=0, duration_s=6.0)
-    rates: list[float] = []
-    session(
-        str(tmp_path / "scenario.toml"), start=True, duration=6.0, seed=551_000_019,
-        on_tick=lambda out: rates.append(abs(out.nav.rate_frd_rad_s.item(2))) if out.nav else None,
-    ).run()  # fmt: skip
-    assert 0.4 < max(rates) < 0.74

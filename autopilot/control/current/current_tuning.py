@@ -156,22 +156,6 @@ BUOYANCY_ESTIMATOR = BuoyancyEstimatorTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class MomentEstimatorTuning:
-    """Constants of :mod:`autopilot.control.current.moment`."""
-
-    follow_s: float = 0.3
-    """Low-pass on the residual, about one lag of the thrusters. With 0.1 s the gyros' noise doubles the reversals of
-    thrust in the harbour, with 0.6 s a turn begins too fast (`autopilot bench reference`)."""
-    longest_s: float = 0.2
-    """After a longer pause nothing is known."""
-    most_share: float = 0.25
-    """Share of the thrusters' moment that is counted on at most: a hull that is held would be turned ever harder."""
-
-
-MOMENT_ESTIMATOR = MomentEstimatorTuning()
-
-
-@dataclass(frozen=True, slots=True)
 class MapReadingTuning:
     """Constants of :mod:`autopilot.control.current.map_reading`."""
 

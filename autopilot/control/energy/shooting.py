@@ -18,7 +18,7 @@ import numpy as np
 from autopilot.control.energy.energy_tuning import SHOOTING
 from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.nmpc.model_code import TRIM, coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
 
@@ -84,7 +84,7 @@ class Shooting:
         """One interval: motion with slopes and Hessian; power of its thrusters with theirs."""
         n, interval = self._n, steps(self._substeps)
         self._matrix = np.array(model.allocation)
-        self._hull = ca.DM(coefficients(model)[: TRIM.start])
+        self._hull = ca.DM(coefficients(model)[:BUOYANCY])
         self._moved, self._slopes, self._curved = (
             each.map(n) for each in (interval.moved, interval.slopes, interval.curved)
         )
@@ -130,7 +130,7 @@ class Shooting:
         state = ca.horzcat(parts["x0"], following[:, : n - 1])
         length = z[-1] / (n * self._substeps)
         variables = ca.vertcat(state, ca.mtimes(ca.DM(self._matrix), thrusts), ca.repmat(length, 1, n))
-        parameters = ca.repmat(ca.vertcat(self._hull, parts["buoyancy"], 0.0), 1, n)
+        parameters = ca.repmat(ca.vertcat(self._hull, parts["buoyancy"]), 1, n)
         motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), parameters]
         end = [following[:, n - 1], parts["goal"], parts["band"], parts["end"], parts["current"][:2, n]]
         return parts, following, thrusts, motion, end

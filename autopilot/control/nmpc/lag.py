@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from autopilot.control.nmpc.model_code import TRIM, coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.model4 import NX, YAW, Model4
@@ -76,9 +76,9 @@ class ThrusterLag:
         self._off = np.zeros(NX)
         self._compared_s = self._now_s
 
-    def trim(self, trim: FloatArray) -> None:
-        """Predictions count on that excess buoyancy [N] and unknown moment [N m] (2,) from now on."""
-        self._coefficients[TRIM] = trim
+    def trim(self, buoyancy_excess_n: float) -> None:
+        """Predictions count on that excess buoyancy [N] from now on."""
+        self._coefficients[BUOYANCY] = buoyancy_excess_n
 
     def act_late(self, delay_s: float) -> None:
         """Commands reach the thrusters ``delay_s`` late, and have done so from the first."""

@@ -8,11 +8,11 @@ import casadi as ca
 from autopilot.core import model4
 from autopilot.core.model4 import AXES, NX, Model4
 
-COEFFICIENTS = 3 * AXES + 2
-"""Mass, linear and quadratic drag per axis, buoyancy, unknown moment; thrusters' columns are multiplied beside it."""
+COEFFICIENTS = 3 * AXES + 1
+"""Mass, linear and quadratic drag per axis, buoyancy; the thrusters' columns are multiplied beside it."""
 
-TRIM = slice(3 * AXES, COEFFICIENTS)
-"""Where what a vehicle learns in flight stands among them."""
+BUOYANCY = 3 * AXES
+"""Where it stands among them."""
 
 HEAD = """\
 #include <math.h>
@@ -23,17 +23,12 @@ static inline double square(double x) { return x * x; }
 
 
 def coefficients(model: Model4) -> list[float]:
-    """(14,) coefficients of a vehicle's hull, as the C code takes them."""
-    return [*model.mass_kg, *model.linear_drag, *model.quadratic_drag, *trim_of(model)]
-
-
-def trim_of(model: Model4) -> tuple[float, float]:
-    """Excess buoyancy [N] and unknown moment [N m]."""
-    return model.buoyancy_excess_n, model.unknown_moment_nm
+    """(13,) coefficients of a vehicle's hull, as the C code takes them."""
+    return [*model.mass_kg, *model.linear_drag, *model.quadratic_drag, model.buoyancy_excess_n]
 
 
 def model_of(values: Any) -> Model4:
-    """The model of symbolic coefficients (14,) with one "thruster" per axis: real thrusters are a matrix in front,
+    """The model of symbolic coefficients (13,) with one "thruster" per axis: real thrusters are a matrix in front,
     whatever their number.
     """
     parts: Any = ca.vertsplit(values)
@@ -42,13 +37,12 @@ def model_of(values: Any) -> Model4:
         linear_drag=tuple(parts[AXES : 2 * AXES]),
         quadratic_drag=tuple(parts[2 * AXES : 3 * AXES]),
         buoyancy_excess_n=parts[3 * AXES],
-        unknown_moment_nm=parts[3 * AXES + 1],
         allocation=tuple(tuple(float(i == j) for j in range(AXES)) for i in range(AXES)),
     )
 
 
 def model_function() -> ca.Function:
-    """(x (8,), force (4,), current (3,), coefficients (14,)) -> (dx/dt (8,), its Jacobian by force and state, rows)."""
+    """(x (8,), force (4,), current (3,), coefficients (13,)) -> (dx/dt (8,), its Jacobian by force and state, rows)."""
     x, force, current = ca.SX.sym("x", NX), ca.SX.sym("force", AXES), ca.SX.sym("current", 3)
     values = ca.SX.sym("coefficients", COEFFICIENTS)
     model = model_of(values)

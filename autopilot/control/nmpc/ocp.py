@@ -29,7 +29,6 @@ import casadi as ca
 import numpy as np
 
 from autopilot.control.nmpc.grid import MAX_RK4_STEP_S, REFERENCE_DT_S, TimeGrid
-from autopilot.control.nmpc.model_code import trim_of
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, NX, R, U, V, W, Z
@@ -115,27 +114,27 @@ def bind(
 def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
     """RK4 over one interval: (x, thrust_n, current_ned_m_s) -> (x_next, A (8, 8), B (8, n))."""
     x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
-    moved: Any = trimmed_dynamics(model, dt_s, substeps)(x, u, c, ca.DM(trim_of(model)))
+    moved: Any = trimmed_dynamics(model, dt_s, substeps)(x, u, c, model.buoyancy_excess_n)
     return ca.Function("interval", [x, u, c], list(moved))
 
 
 def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
-    """As :func:`discrete_dynamics`, with :func:`.model_code.trim_of` as fourth argument."""
+    """As :func:`discrete_dynamics`, with the excess buoyancy [N] as fourth argument."""
     x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
-    trim: Any = ca.SX.sym("trim", 2)
+    lift: Any = ca.SX.sym("lift")
     h = dt_s / substeps
-    trimmed = replace(model, buoyancy_excess_n=trim[0], unknown_moment_nm=trim[1])
+    trimmed = replace(model, buoyancy_excess_n=lift)
 
     def f(state: Any) -> Any:
         return ca.vertcat(*model4.state_derivative(trimmed, ca.vertsplit(state), ca.vertsplit(u), ca.vertsplit(c), ca))
 
     x_next = model4.rk4(f, x, h)
-    single = ca.Function("rk4", [x, u, c, trim], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
+    single = ca.Function("rk4", [x, u, c, lift], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
     state, a, b = x, ca.SX.eye(NX), ca.SX(NX, model.thrusters)
     for _ in range(substeps):
-        state, a_step, b_step = single(state, u, c, trim)
+        state, a_step, b_step = single(state, u, c, lift)
         a, b = ca.mtimes(a_step, a), ca.mtimes(a_step, b) + b_step
-    return ca.Function("interval", [x, u, c, trim], [state, a, b])
+    return ca.Function("interval", [x, u, c, lift], [state, a, b])
 
 
 def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
@@ -179,8 +178,8 @@ def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int,
     """Arguments of the step and their shapes (rows, columns), in order.
 
     State and thrust of the guess and of the reference, current, weights per node (8 at nodes 1 .. N-1, one per
-    thruster at 0 .. N-1, per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, excess buoyancy [N] and unknown
-    moment [N m], limits at nodes 1 .. N-1, thrust bounds, half-planes at nodes 1 .. N-1.
+    thruster at 0 .. N-1, per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, excess buoyancy [N], limits at
+    nodes 1 .. N-1, thrust bounds, half-planes at nodes 1 .. N-1.
     """
     return {
         "x_guess": (NX, n + 1),
@@ -191,7 +190,7 @@ def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int,
         "weight_x": (NX, n - 1),
         "weight_u": (thrusters, n),
         "terminal": (NX, NX),
-        "trim": (2, 1),
+        "buoyancy": (1, 1),
         "limits": (N_LIMITS, n - 1),
         "thrust_limit": (thrusters, n),
         "plane_n": (2, planes * (n - 1)),
@@ -215,9 +214,9 @@ class StepArrays:
         self._numbers, self._bounds = self._block[: ends[bounds - 1]], self._block[ends[bounds - 1] :]
         each = list(self.arguments.values())
         self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = each[:5]
-        self.weight_x, self.weight_u, self.terminal, self.trim, self.limits, self.thrust_limit = each[5:11]
+        self.weight_x, self.weight_u, self.terminal, self.buoyancy, self.limits, self.thrust_limit = each[5:11]
         self.plane_n, self.plane_d = each[11].reshape(n - 1, planes, 2), each[12]
-        self.trim[:] = trim_of(model)
+        self.buoyancy[:] = model.buoyancy_excess_n
         self.x, self.u, self.slack = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters)), np.zeros((n - 1, N_SLACKS))
 
     def complete(self) -> bool:
@@ -254,7 +253,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     shapes = argument_shapes(n, planes, nu)
     names = list(shapes)
     arguments = [ca.SX.sym(name, *shape) for name, shape in shapes.items()]
-    xg, ug, xref, uref, cur, weight_x, weight_u, terminal, trim, limits, tlim, plane_n, plane_d = arguments
+    xg, ug, xref, uref, cur, weight_x, weight_u, terminal, buoyancy, limits, tlim, plane_n, plane_d = arguments
 
     scale = [dt / REFERENCE_DT_S for dt in grid.dt_s]
     intervals: dict[tuple[float, int], ca.Function] = {}
@@ -264,7 +263,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
         key = (float(dt), substeps)
         if key not in intervals:
             intervals[key] = trimmed_dynamics(model, dt, substeps)
-        x_next, a, b = intervals[key](xg[:, k], ug[:, k], cur[:, k], trim)
+        x_next, a, b = intervals[key](xg[:, k], ug[:, k], cur[:, k], buoyancy)
         gap = x_next - xg[:, k + 1]
         gaps.append(gap)
         row_low.append(-gap)

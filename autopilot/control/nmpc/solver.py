@@ -16,7 +16,7 @@ import numpy as np
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid, shift_matrices
-from autopilot.control.nmpc.model_code import TRIM, coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core import compiled
 from autopilot.core.control_allocator import least_in_box
 from autopilot.core.errors import ConfigError
@@ -107,7 +107,7 @@ class NativeStep(ocp.StepArrays):
 
     def evaluate(self) -> None:
         """Linearise at the guess, solve, write the results. An unsolved program has an infinite violation."""
-        self._arrays["coefficients"][TRIM] = self.trim[0]
+        self._arrays["coefficients"][BUOYANCY] = self.buoyancy[0, 0]
         self._call(self._reference)
 
 
@@ -137,8 +137,8 @@ class NmpcProblem:
     """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
     plane_d_m: FloatArray
     """(N-1, PLANES)"""
-    trim: FloatArray
-    """(2,) buoyancy minus weight [N], positive floats up, and unknown moment [N m], as they have proved to be."""
+    buoyancy_excess_n: FloatArray
+    """(1,) buoyancy minus weight [N] as it has proved to be, positive floats up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -377,7 +377,7 @@ class Nmpc:
         step.weight_x[:] = problem.weight_x
         step.weight_u[:] = problem.weight_u
         step.terminal[:] = problem.terminal
-        step.trim[:] = problem.trim
+        step.buoyancy[:] = problem.buoyancy_excess_n
         step.limits[:] = problem.limits
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n

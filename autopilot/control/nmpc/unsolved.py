@@ -53,10 +53,9 @@ def solve_again(program: UnsolvedProgram) -> list[Trial]:
     """Results of every solver. LogError if the record is incomplete."""
     try:
         model = Model4(**{name: _plain(value) for name, value in _part(program.arrays, "model.").items()})
-        known = _part(program.arrays, "problem.")
-        # Programs of before buoyancy or moment were learned have the vehicle file's.
-        lift_n = known.pop("buoyancy_excess_n", np.array([model.buoyancy_excess_n]))
-        problem = NmpcProblem(**({"trim": np.append(lift_n, 0.0)} | known))
+        # Programs of before the buoyancy was learned have the vehicle file's.
+        trimmed = {"buoyancy_excess_n": np.array([model.buoyancy_excess_n])}
+        problem = NmpcProblem(**(trimmed | _part(program.arrays, "problem.")))
         grid = grid_of(program.arrays["grid.dt_s"])
         x, thrust = program.arrays["guess.x"], program.arrays["guess.thrust_n"]
     except (KeyError, TypeError) as error:

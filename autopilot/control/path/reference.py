@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.nmpc.model_code import TRIM, coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.control.path.path_tuning import REFERENCE
 from autopilot.core import compiled
 from autopilot.core.control_allocator import ControlAllocator
@@ -197,7 +197,7 @@ class ReferenceRollout:
             self._steady.inverse = compiled.fitting("inverse", inverse, AXES, len(limit_n))
             self._inverse = inverse
         self._x0[:], self._current[:], self._limit_n[:] = x0, current_ned_m_s, limit_n
-        self._coefficients[TRIM] = self._allocator.buoyancy_excess_n, self._allocator.unknown_moment_nm
+        self._coefficients[BUOYANCY] = self._allocator.buoyancy_excess_n
         rollout.s0_m, rollout.depth_m, rollout.yaw_rad = target.s0_m, target.depth_m, target.yaw_rad
         rollout.cruise_m_s, rollout.speed_limit_m_s = target.cruise_m_s, target.speed_limit_m_s
         rollout.heave_limit_m_s, rollout.yaw_rate_limit_rad_s = target.heave_limit_m_s, target.yaw_rate_limit_rad_s

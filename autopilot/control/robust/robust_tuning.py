@@ -250,3 +250,19 @@ class TubeTuning:
 
 
 TUBE = TubeTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class YawRateTuning:
+    """Constants of :class:`autopilot.control.robust.margins.YawRateExcess`."""
+
+    follow_s: float = 0.1
+    """Low-pass on the residual: two control steps. The gyros' noise is then 0.015 rad/s of the back-off (standard
+    deviation); with half as much again the start of a turn is seen too late."""
+    step_s: float = 0.05
+    """Beside the thrusters' lag a command waits for no more than one control step."""
+    longest_s: float = 0.2
+    """After a longer pause nothing is known."""
+
+
+YAW_RATE = YawRateTuning()
