@@ -43,13 +43,14 @@ class StartUp(Remarks):
         others = [f for f, window_us in zip(nearest, windows_us, strict=True) if abs(fix.t_us - f.t_us) <= window_us]
         self._fixes.append(fix)
         accepted = 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT
-        steps_us = self.interval_us
-        rare = steps_us is not None and (AGREE_COUNT - 1) * steps_us > SLOW_WINDOW_US
+        every_us = self.interval_us
+        if accepted or self._reported or every_us is None:
+            return accepted
         alike = len(nearest) >= AGREE_COUNT - 1 and all(agree(fix, other) for other in nearest[: AGREE_COUNT - 1])
-        if steps_us is not None and rare and alike and not accepted and not self._reported:
+        if alike and (AGREE_COUNT - 1) * every_us > SLOW_WINDOW_US:
             self._reported = True
-            self._texts.append(notices.FIXES_TOO_RARE(every_s=1e-6 * steps_us).text)
-        return accepted
+            self._texts.append(notices.FIXES_TOO_RARE(every_s=1e-6 * every_us).text)
+        return False
 
 
 def agree(a: PoseFix, b: PoseFix) -> bool:

@@ -48,23 +48,39 @@ _NOWHERE = (math.nan, math.nan, math.nan)
 
 
 @dataclass(slots=True, eq=False)
+class _SensorRecord:
+    """Status of one sensor that has delivered data."""
+
+    last_us: int
+    """Time of its last new data."""
+    reading: object = None
+    equal: int = 0
+    how: str = QUIET
+    """Its fault while it has no new data."""
+    pushed_n: tuple[float, float] = (0.0, 0.0)
+    """Least and most thrust that was commanded since ``reading`` changed."""
+
+    def repeats(self, reading: object) -> bool:
+        """Whether this reading is the last one again, to the last digit."""
+        again = reading == self.reading
+        self.reading, self.equal = reading, self.equal + 1 if again else 0
+        return again
+
+
+@dataclass(slots=True, eq=False)
 class _Ranges:
     position_frd_m: tuple[float, float, float] = _NOWHERE
     direction_frd: tuple[float, float, float] = _NOWHERE
     readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
     """Time and range, multiples left out."""
     echoes: RecentEchoes = field(default_factory=RecentEchoes)
-    held_m: float = NEVER
-    """Its newest range, and since how many readings,"""
-    equal: int = 0
-    held_us: int = 0
-    """since when,"""
+    record: _SensorRecord = field(default_factory=lambda: _SensorRecord(0))
     held_ned_m: FloatArray | None = None
-    """and since which place of the vehicle it has been the same; None = not known."""
+    """Place of the vehicle when the range was new; None = not known."""
 
     def frozen(self, pos_ned_m: FloatArray | None) -> bool:
         """Whether it goes on with an old range while the vehicle moves: at rest over a level floor it may."""
-        if self.equal < VEHICLE_STATUS.frozen_readings or pos_ned_m is None or self.held_ned_m is None:
+        if self.record.equal + 1 < VEHICLE_STATUS.frozen_readings or pos_ned_m is None or self.held_ned_m is None:
             return False
         return math.dist(pos_ned_m, self.held_ned_m) >= VEHICLE_STATUS.frozen_m
 
@@ -92,15 +108,14 @@ class FloorRanges:
         length = math.hypot(x, y, z)
         self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))
 
-    def note(self, name: str, t_us: int, range_m: float, pos_ned_m: FloatArray | None = None) -> int | None:
-        """One reading of a sensor, along its beam. Since when it is frozen, None = it is not."""
+    def note(self, name: str, t_us: int, range_m: float, pos_ned_m: FloatArray | None = None) -> _SensorRecord | None:
+        """One reading of a sensor, along its beam. Its record if it is frozen."""
         ranges = self._ranges[name]
-        if range_m != ranges.held_m:
-            ranges.held_m, ranges.held_us, ranges.held_ned_m, ranges.equal = range_m, t_us, pos_ned_m, 0
-        ranges.equal += 1
+        if not ranges.record.repeats(range_m):
+            ranges.record.last_us, ranges.held_ned_m = t_us, pos_ned_m
         if ranges.frozen(pos_ned_m):
             ranges.readings.clear()
-            return ranges.held_us
+            return ranges.record
         # A single one at half the range is a fish above the floor.
         if math.isfinite(range_m) and range_m > 0.0 and ranges.echoes.add(t_us, range_m).at_half < 2:
             ranges.readings.append((t_us, range_m))
@@ -126,20 +141,6 @@ def _below(rpy_rad: FloatArray | None, frd: tuple[float, float, float]) -> float
     roll, pitch, _ = rpy_rad.tolist()
     sideways = right * math.sin(roll) + down * math.cos(roll)
     return float(sideways * math.cos(pitch) - forward * math.sin(pitch))
-
-
-@dataclass(slots=True, eq=False)
-class _SensorRecord:
-    """Status of one sensor that has delivered data."""
-
-    last_us: int
-    """Time of its last new data."""
-    reading: object = None
-    equal: int = 0
-    how: str = QUIET
-    """Its fault while it has no new data."""
-    pushed_n: tuple[float, float] = (0.0, 0.0)
-    """Least and most thrust that was commanded since ``reading`` changed."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -253,11 +254,11 @@ class VehicleStatus:
 
     def note_range(self, t_us: int, name: str, range_m: float) -> None:
         """One range to the floor. A sensor that sees none is no fault: it counts as one only while it is frozen."""
-        frozen_us = self.floor.note(name, t_us, range_m, None if self.nav is None else self.nav.pos_ned_m)
-        if frozen_us is None:
+        frozen = self.floor.note(name, t_us, range_m, None if self.nav is None else self.nav.pos_ned_m)
+        if frozen is None:
             self.sensors.pop(name, None)
         else:
-            self.sensors.setdefault(name, _SensorRecord(frozen_us))
+            self.sensors[name] = frozen
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
         """One sample other than AHRS, which arrives at every tick."""
@@ -342,7 +343,6 @@ class VehicleStatus:
         record = self.sensors.get(name)
         if record is None:
             record = self.sensors[name] = _SensorRecord(t_us)
-        record.equal = record.equal + 1 if reading == record.reading else 0
-        record.reading = reading
+        record.repeats(reading)
         if record.equal < VEHICLE_STATUS.frozen_readings:
             record.last_us, record.how = t_us, QUIET
